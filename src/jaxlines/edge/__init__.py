@@ -1,0 +1,1 @@
+"""Where files, units, pictures and people are."""

@@ -1,0 +1,1 @@
+"""From recordings to parameters with uncertainty; knows hydraulics only through the simulation."""

@@ -1,0 +1,1 @@
+"""Formulas and components: SI units, absolute pressure, nothing of time or files."""

@@ -1,0 +1,126 @@
+"""How a component declares its numbers, ports and inputs, and how wrong numbers are refused.
+
+Every physical number is an array leaf made by `quantity`, every node name a static field made by
+`port`, every time-varying number a field made by `driven`. The metadata written here (unit, range,
+likely slip) is what study files, error messages and reports read, so that it is stated once.
+"""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+Number = Float[Array | np.ndarray, "..."]
+"""A physical number: a scalar leaf, or an array of them where components of a kind are evaluated together."""
+
+HYDRAULIC, ROTATIONAL, TRANSLATIONAL = "hydraulic", "rotational", "translational"
+
+ATMOSPHERE = 101325.0
+"""Reference pressure of densities and air fractions [Pa absolute] (ISO 2533 standard atmosphere)."""
+
+
+class AbstractSignal(eqx.Module):
+    """A number as a function of time, `signal(t)`, with the times of its jumps as data."""
+
+    def __call__(self, t):
+        """Value at time t [s]."""
+        raise NotImplementedError
+
+    def jump_times(self):
+        """Times [s] at which the value jumps, shape (jumps,)."""
+        return np.zeros(0)
+
+
+class External(AbstractSignal):
+    """A placeholder for an input that is given by name when the circuit is simulated."""
+
+    name: str = eqx.field(static=True)
+
+    def __call__(self, t):
+        raise TypeError(f"input {self.name!r} has no value of its own: pass inputs={{{self.name!r}: ...}}")
+
+
+def as_number(value: Any):
+    """A float64 NumPy array, or the JAX array or tracer itself. Text is refused."""
+    if isinstance(value, jax.Array | np.ndarray) or value is None:
+        return value
+    if isinstance(value, str):
+        raise TypeError(
+            f"expected a number in SI units, got the text {value!r}: quantities with units belong into a "
+            'study file, or convert with jaxlines.si("12.8 mm", "m")'
+        )
+    return np.asarray(value, dtype=np.float64)
+
+
+def _as_driven(value: Any):
+    """A number, a signal, or the name of an external input."""
+    if isinstance(value, str):
+        return External(value)
+    return value if isinstance(value, AbstractSignal) else as_number(value)
+
+
+def quantity(unit: str, *, low: float = -np.inf, high: float = np.inf, slip: str = "", default: Any = dataclasses.MISSING):
+    """A physical number in SI `unit`, legal in [low, high]; `slip` is the likely cause of a wrong one."""
+    metadata = {"unit": unit, "low": low, "high": high, "slip": slip}
+    options = {} if default is dataclasses.MISSING else {"default": default}
+    return eqx.field(converter=as_number, metadata=metadata, **options)
+
+
+def driven(unit: str, *, low: float = -np.inf, high: float = np.inf, slip: str = "", default: Any = dataclasses.MISSING):
+    """A number in SI `unit` that may also be a signal of time or the name of an external input."""
+    metadata = {"unit": unit, "low": low, "high": high, "slip": slip, "driven": True}
+    options = {} if default is dataclasses.MISSING else {"default": default}
+    return eqx.field(converter=_as_driven, metadata=metadata, **options)
+
+
+def port(domain: str = HYDRAULIC):
+    """The name of the node that this port is attached to."""
+    return eqx.field(static=True, metadata={"port": domain})
+
+
+def ports_of(module) -> dict[str, str]:
+    """Port field name -> domain, in the order of declaration."""
+    return {f.name: f.metadata["port"] for f in dataclasses.fields(module) if "port" in f.metadata}
+
+
+def driven_of(module) -> dict[str, dict]:
+    """Driven field name -> its metadata, in the order of declaration."""
+    return {f.name: dict(f.metadata) for f in dataclasses.fields(module) if f.metadata.get("driven")}
+
+
+def array_module(*trees):
+    """NumPy when every leaf is a plain number, so that formulas on the host stay in float64; else jax.numpy."""
+    return jnp if any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(trees)) else np
+
+
+def is_concrete(value) -> bool:
+    """Whether a value can be looked at now (it is not being traced by JAX)."""
+    return not isinstance(value, jax.core.Tracer)
+
+
+def check_range(name: str, value, metadata: dict) -> None:
+    """Raise ValueError when a concrete number lies outside its legal range or is not finite."""
+    if value is None or isinstance(value, AbstractSignal) or not is_concrete(value):
+        return
+    low, high, unit = metadata["low"], metadata["high"], metadata["unit"]
+    numbers = np.asarray(value)
+    wrong = numbers[~((numbers >= low) & (numbers <= high))]
+    if wrong.size:
+        slip = f": {metadata['slip']}" if metadata["slip"] else ""
+        # A slash keeps the unit of a plain number readable: "[1]" would look like a footnote.
+        suffix = "" if unit == "1" else f" {unit}"
+        raise ValueError(f"{name} must be {low:g}..{high:g}{suffix}, got {wrong.flat[0]:g}{suffix}{slip}")
+
+
+def check_fields(module, where: str = "") -> None:
+    """Check every number of a module against its declared range, and every port for a name."""
+    for field in dataclasses.fields(module):
+        value, label = getattr(module, field.name), f"{where}{field.name}"
+        if "unit" in field.metadata:
+            check_range(label, value, dict(field.metadata))
+        if "port" in field.metadata and not isinstance(value, str):
+            raise TypeError(f"{type(module).__name__}.{label} must be the name of a node, got {value!r}")
