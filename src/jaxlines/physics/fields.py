@@ -63,16 +63,36 @@ def _as_driven(value: Any):
     return value if isinstance(value, AbstractSignal) else as_number(value)
 
 
-def quantity(unit: str, *, low: float = -np.inf, high: float = np.inf, slip: str = "", default: Any = dataclasses.MISSING):
-    """A physical number in SI `unit`, legal in [low, high]; `slip` is the likely cause of a wrong one."""
-    metadata = {"unit": unit, "low": low, "high": high, "slip": slip}
+def quantity(
+    unit: str,
+    *,
+    low: float = -np.inf,
+    high: float = np.inf,
+    slip: str = "",
+    level: bool = False,
+    default: Any = dataclasses.MISSING,
+):
+    """A physical number in SI `unit`, legal in [low, high]; `slip` is the likely cause of a wrong one.
+
+    `level` marks a pressure that is counted from zero or from atmosphere (not a difference or a stiffness),
+    so that a text from outside must say absolute or gauge.
+    """
+    metadata = {"unit": unit, "low": low, "high": high, "slip": slip, "level": level}
     options = {} if default is dataclasses.MISSING else {"default": default}
     return eqx.field(converter=as_number, metadata=metadata, **options)
 
 
-def driven(unit: str, *, low: float = -np.inf, high: float = np.inf, slip: str = "", default: Any = dataclasses.MISSING):
+def driven(
+    unit: str,
+    *,
+    low: float = -np.inf,
+    high: float = np.inf,
+    slip: str = "",
+    level: bool = False,
+    default: Any = dataclasses.MISSING,
+):
     """A number in SI `unit` that may also be a signal of time or the name of an external input."""
-    metadata = {"unit": unit, "low": low, "high": high, "slip": slip, "driven": True}
+    metadata = {"unit": unit, "low": low, "high": high, "slip": slip, "level": level, "driven": True}
     options = {} if default is dataclasses.MISSING else {"default": default}
     return eqx.field(converter=_as_driven, metadata=metadata, **options)
 

@@ -51,9 +51,11 @@ class Oil(eqx.Module):
     air_fraction: Number = quantity("1", low=0.0, high=0.5, slip="was it given in percent?", default=0.0)
     polytropic_index: Number = quantity("1", low=0.9, high=1.7, default=1.2)
     modulus_slope: Number = quantity("1", low=0.0, high=30.0, default=0.0)
-    vapour_pressure: Number = quantity("Pa", low=0.0, high=1e6, slip="it is an absolute pressure", default=100.0)
+    vapour_pressure: Number = quantity(
+        "Pa", low=0.0, high=1e6, slip="it is an absolute pressure", level=True, default=100.0
+    )
     atmospheric_pressure: Number = quantity(
-        "Pa", low=3e4, high=1.2e5, slip="was it given in bar or hPa?", default=ATMOSPHERE
+        "Pa", low=3e4, high=1.2e5, slip="was it given in bar or hPa?", level=True, default=ATMOSPHERE
     )
     mass: str = eqx.field(static=True, default="conserved")
 

@@ -87,7 +87,7 @@ class Brake(AbstractComponent):
     shaft: str = port(ROTATIONAL)
     a: str = port()
     holding_torque: Number = quantity("N*m", low=0.0)
-    release_pressure: Number = quantity("Pa", low=0.0, high=1e9, slip="was it given in bar?", default=2e6)
+    release_pressure: Number = quantity("Pa", low=0.0, high=1e9, slip="was it given in bar?", level=True, default=2e6)
     release_width: Number = quantity("Pa", low=1e2, high=1e9, slip="was it given in bar?", default=4e5)
     slip_speed: Number = quantity("rad/s", low=1e-6, high=1e3, default=0.01)
 
