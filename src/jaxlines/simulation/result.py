@@ -6,7 +6,10 @@ import equinox as eqx
 import numpy as np
 
 from jaxlines.simulation.circuit import Circuit
+from jaxlines.simulation.line_records import line_flows, signal_records
 from jaxlines.simulation.paths import resolve
+from jaxlines.simulation.precision import computing_in
+from jaxlines.simulation.validity import Validity, check_validity, lines_to_check
 
 MESSAGES = {
     "ok": "the trajectory was computed to the tolerance",
@@ -54,6 +57,19 @@ class Simulation(eqx.Module):
             f"simulation failed ({self.status}): {MESSAGES[self.status]}. {int(self.num_steps)} steps were made, "
             f"lowest pressure {float(self.lowest_pressure):.4g} Pa.{where} Pass throw=False to get what there is."
         )
+
+    def validity(self, highest_frequency: float | None = None) -> Validity:
+        """Whether the lumped lines may be trusted for what happened here; see `Validity`.
+
+        Args: highest_frequency [Hz] of any oscillation; by default it is read from the inputs and the pressures.
+        Raises: ValueError when an output that the check needs was not saved.
+        """
+        with computing_in("float64"):
+            flows = line_flows(self.circuit, self.times, self.outputs, self.inputs)
+            records = signal_records(self.circuit, self.times, self.inputs)
+        nodes = {line.node for line in lines_to_check(self.circuit).values()}
+        pressures = {node: self.outputs[f"{node}.pressure"] for node in nodes}
+        return check_validity(self.circuit, self.times, pressures, flows, records, highest_frequency)
 
     def to_xarray(self):
         """The outputs as an xarray.Dataset over `time`, with units and status as attributes."""

@@ -1,0 +1,64 @@
+"""What a simulation says about its lines: the flows into them, and the signals that drive them."""
+
+import jax
+import numpy as np
+
+from jaxlines.physics.component import DOMAINS, Situation
+from jaxlines.physics.fields import AbstractSignal, External, driven_of, ports_of
+from jaxlines.physics.lines import Line
+from jaxlines.simulation.circuit import Circuit
+from jaxlines.simulation.signals import Sampled
+from jaxlines.simulation.validity import lines_to_check
+
+
+def _seen_by(name: str, part, fluid, times, outputs, inputs) -> Situation:
+    """What a component saw at the saved times. Raises ValueError when something of it was not saved."""
+    potentials = {p: f"{getattr(part, p)}.{DOMAINS[d].potential}" for p, d in ports_of(part).items()}
+    states = {state.name: f"{name}.{state.name}" for state in part.states}
+    missing = [q for q in (*potentials.values(), *states.values()) if q not in outputs]
+    if missing:
+        raise ValueError(
+            f"the validity check needs {', '.join(missing)}, which was not saved: "
+            "simulate without `outputs`, or name it there"
+        )
+    given = {field: getattr(part, field) for field in driven_of(part)}
+    for field, value in given.items():
+        if isinstance(value, AbstractSignal):
+            given[field] = jax.vmap(inputs[value.name] if isinstance(value, External) else value)(times)
+    at_ports = {p: np.asarray(outputs[q]) for p, q in potentials.items()}
+    return Situation(fluid, at_ports, {s: np.asarray(outputs[q]) for s, q in states.items()}, given)
+
+
+def line_flows(circuit: Circuit, times, outputs, inputs) -> dict[str, np.ndarray]:
+    """For each line to check the sum of the volume flows into its node at the saved times [m^3/s].
+
+    Inlets only, so that fluid on its way through counts once; lines that share a node get the same flow.
+    """
+    nodes = {line.node for line in lines_to_check(circuit).values()}
+    inflow = dict.fromkeys(nodes, np.zeros(len(times)))
+    for name, part in circuit.parts().items():
+        attached = {p: getattr(part, p) for p in ports_of(part) if getattr(part, p) in nodes}
+        if not attached or isinstance(part, Line):
+            continue
+        at = _seen_by(name, part, circuit.fluid, times, outputs, inputs)
+        mass = part.evaluate(at).flow
+        for port, node in attached.items():
+            density = circuit.fluid.density_at(at.potential[port])
+            inflow[node] = inflow[node] + np.maximum(np.asarray(mass.get(port, 0.0)) / density, 0.0)
+    return {name: inflow[line.node] for name, line in lines_to_check(circuit).items()}
+
+
+def signal_records(circuit: Circuit, times, inputs) -> dict[str, tuple]:
+    """Every signal that drives the circuit, as (times, values) within the simulated time."""
+    signals: dict[str, AbstractSignal] = dict(inputs)
+    for name, part in circuit.parts().items():
+        values = {f"{name}.{field}": getattr(part, field) for field in driven_of(part)}
+        signals |= {k: v for k, v in values.items() if isinstance(v, AbstractSignal) and not isinstance(v, External)}
+    grid, records = np.linspace(times[0], times[-1], 8192), {}
+    for name, signal in signals.items():
+        if isinstance(signal, Sampled):
+            keep = (signal.times >= times[0]) & (signal.times <= times[-1])
+            records[name] = (signal.times[keep], signal.values[keep])
+        else:
+            records[name] = (grid, np.asarray(jax.vmap(signal)(grid)))
+    return records
