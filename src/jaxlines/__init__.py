@@ -1,5 +1,8 @@
 """Differentiable simulation of lumped hydraulic lines, and physical parameters from recorded pressure."""
 
+from jaxlines.inference.fit import fit as fit
+from jaxlines.inference.parameters import Free as Free, Known as Known
+from jaxlines.inference.recording import Recording as Recording
 from jaxlines.physics.containers import Pipe as Pipe, Vessel as Vessel
 from jaxlines.physics.fluids import Oil as Oil
 from jaxlines.physics.lines import FluidInertia as FluidInertia, Line as Line

@@ -34,6 +34,10 @@ class AbstractSignal(eqx.Module):
         """Times [s] at which the value jumps, shape (jumps,)."""
         return np.zeros(0)
 
+    def knot_times(self):
+        """Times [s] at which the value is continuous but its slope jumps, shape (knots,)."""
+        return np.zeros(0)
+
 
 class External(AbstractSignal):
     """A placeholder for an input that is given by name when the circuit is simulated."""

@@ -111,6 +111,4 @@ class FluidInertia(AbstractComponent):
         p_a, p_b = at.potential["a"], at.potential["b"]
         drop = (self.resistance + self.quadratic_resistance * abs(q)) * q
         mass = at.fluid.mass_flow(q, p_a, p_b)
-        return Contribution(
-            flow={"a": -mass, "b": mass}, rate={"volume_flow": (p_a - p_b - drop) / self.inertance}
-        )
+        return Contribution(flow={"a": -mass, "b": mass}, rate={"volume_flow": (p_a - p_b - drop) / self.inertance})

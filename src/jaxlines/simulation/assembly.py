@@ -189,7 +189,9 @@ def _require_capacity(plan: Plan) -> None:
     for index, (node, domain) in enumerate(plan.free_nodes):
         if index not in has:
             remedy = {"hydraulic": "a Line (a Vessel is a plain volume), or a PressureSource"}.get(domain, "an Inertia")
-            raise ValueError(f"{domain} node {node!r} has no capacity, so that its {DOMAINS[domain].potential} is undetermined: attach {remedy}")
+            raise ValueError(
+                f"{domain} node {node!r} has no capacity, so that its {DOMAINS[domain].potential} is undetermined: attach {remedy}"
+            )
 
 
 def compile_circuit(circuit: Circuit, initial: dict | None = None, inputs: dict | None = None) -> tuple[Plan, Values]:
@@ -240,7 +242,10 @@ def initial_values(plan: Plan, fluid: Oil, given: dict) -> Initial:
     rest = {"hydraulic": fluid.atmospheric_pressure + zero}
     potentials = [given.get(f"{n}.{DOMAINS[d].potential}", rest.get(d, zero)) for n, d in plan.free_nodes]
     states = tuple(
-        {s.name: _stack(*(np.asarray(0.0) + given.get(f"{m}.{s.name}", 0.0) for m in kind.members)) for s in kind.states}
+        {
+            s.name: _stack(*(np.asarray(0.0) + given.get(f"{m}.{s.name}", 0.0) for m in kind.members))
+            for s in kind.states
+        }
         for kind in plan.kinds
     )
     return Initial(_stack(*(np.asarray(0.0) + p for p in potentials)) if potentials else np.zeros(0), states)

@@ -45,7 +45,9 @@ def sensor_units(circuit: Circuit, plan: Plan) -> dict[str, str]:
         read = sensor.quantity_read()
         if read not in known:
             near = [q for q in known if q.rsplit(".", 1)[-1] == read.rsplit(".", 1)[-1]]
-            raise ValueError(f"sensor {name!r} reads {read!r}, which the circuit does not have; it has {', '.join(near)}")
+            raise ValueError(
+                f"sensor {name!r} reads {read!r}, which the circuit does not have; it has {', '.join(near)}"
+            )
         units[name] = known[read].unit
     return units
 

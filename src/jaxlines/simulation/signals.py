@@ -84,6 +84,9 @@ class Sampled(AbstractSignal):
     def jump_times(self):
         return self.times if self.method == "hold" else np.zeros(0)
 
+    def knot_times(self):
+        return self.times if self.method == "linear" else np.zeros(0)
+
     def padded(self, size: int) -> "Sampled":
         """The same signal with its last value held to `size` samples, so that lengths share a program."""
         extra = size - self.times.size

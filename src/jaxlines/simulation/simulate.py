@@ -49,7 +49,9 @@ def make_method(solver, gradient: str, max_steps: int) -> Method:
     if gradient not in ("forward", "reverse"):
         raise ValueError(f'gradient must be "forward" or "reverse", got {gradient!r}')
     if solver is not None and not isinstance(solver, diffrax.AbstractSolver):
-        raise TypeError(f"solver must be a diffrax solver such as diffrax.Tsit5() or jaxlines.implicit(), got {solver!r}")
+        raise TypeError(
+            f"solver must be a diffrax solver such as diffrax.Tsit5() or jaxlines.implicit(), got {solver!r}"
+        )
     return Method(diffrax.Tsit5() if solver is None else implicit(solver), gradient, int(max_steps))
 
 
@@ -85,6 +87,21 @@ def _status(result, outputs, lowest, fluid):
     return jnp.where(result == diffrax.RESULTS.successful, code, failed)
 
 
+def _controller(values: Values, tolerance) -> diffrax.AbstractStepSizeController:
+    """Adaptive steps that end on every jump and kink of the inputs.
+
+    A step across samples of a noisy input can pass the error test by luck; ending on the samples makes the
+    field smooth within each step, so that the tolerance means what it says.
+    """
+    controller = diffrax.PIDController(rtol=tolerance, atol=tolerance, pcoeff=0.3, icoeff=0.3)
+    jumps = [jnp.ravel(s.jump_times()) for s in values.signals if np.size(s.jump_times())]
+    knots = [jnp.ravel(s.knot_times()) for s in values.signals if np.size(s.knot_times())]
+    if not jumps and not knots:
+        return controller
+    times = [jnp.sort(jnp.concatenate(group)) if group else None for group in (knots, jumps)]
+    return diffrax.ClipStepSizeController(controller, step_ts=times[0], jump_ts=times[1])
+
+
 def integrate(plan: Plan, wanted: tuple[str, ...], method: Method, values: Values, times, tolerance) -> Trajectory:
     """Integrate a compiled circuit and observe it at times; pure, to be called inside jit.
 
@@ -99,10 +116,6 @@ def integrate(plan: Plan, wanted: tuple[str, ...], method: Method, values: Value
         lowest = jnp.min(potentials[hydraulic]) if hydraulic.size else jnp.asarray(jnp.inf, shown.dtype)
         return shown, lowest
 
-    jumps = [jnp.ravel(s.jump_times()) for s in values.signals if np.size(s.jump_times())]
-    controller = diffrax.PIDController(rtol=tolerance, atol=tolerance, pcoeff=0.3, icoeff=0.3)
-    if jumps:
-        controller = diffrax.ClipStepSizeController(controller, jump_ts=jnp.sort(jnp.concatenate(jumps)))
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(_vector_field),
         method.solver,
@@ -112,7 +125,7 @@ def integrate(plan: Plan, wanted: tuple[str, ...], method: Method, values: Value
         y0=ravel(plan, values.initial.potentials, values.initial.states),
         args=(_Static(plan), values),
         saveat=diffrax.SaveAt(ts=times, fn=save),
-        stepsize_controller=controller,
+        stepsize_controller=_controller(values, tolerance),
         adjoint=method.adjoint(),
         max_steps=method.max_steps,
         throw=False,
@@ -135,7 +148,9 @@ def bind_inputs(circuit: Circuit, inputs: dict | None, times) -> dict[str, Abstr
     missing, unknown = sorted(set(needed) - set(inputs)), sorted(set(inputs) - set(needed))
     if missing:
         component, field = needed[missing[0]][0]
-        raise ValueError(f"the circuit needs an input {missing[0]!r} (it drives {component}.{field}); given: {sorted(inputs) or 'none'}")
+        raise ValueError(
+            f"the circuit needs an input {missing[0]!r} (it drives {component}.{field}); given: {sorted(inputs) or 'none'}"
+        )
     if unknown:
         raise ValueError(f"the circuit has no input {unknown[0]!r}; it has {sorted(needed) or 'none'}")
     bound = {name: as_signal(value, times) for name, value in inputs.items()}

@@ -1,0 +1,110 @@
+"""What follows from fitted parameters: effective modulus and wave speed over pressure, with 95 % bands."""
+
+import inspect
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxlines.inference.analysis import Analysis
+from jaxlines.inference.problem import Problem
+from jaxlines.inference.search import Found
+from jaxlines.inference.uncertainty import NORMAL_95, UNINFORMED, Estimate
+from jaxlines.physics.lines import Line
+from jaxlines.simulation.result import Simulation
+
+CURVE_POINTS = 60
+UNITS = {"effective_bulk_modulus": "Pa", "wave_speed": "m/s", "round_trip_time": "s", "line_constant": "N/m^5"}
+UNITS |= {"volume": "m^3", "laminar_resistance": "Pa*s/m^3", "inertance": "Pa*s^2/m^3", "capacity": "kg/Pa"}
+
+
+class Curve(NamedTuple):
+    """Effective bulk modulus [Pa] and wave speed [m/s] of a line over pressure [Pa], with 95 % bands."""
+
+    pressure: np.ndarray
+    bulk_modulus: np.ndarray
+    bulk_modulus_low: np.ndarray
+    bulk_modulus_high: np.ndarray
+    wave_speed: np.ndarray
+    wave_speed_low: np.ndarray
+    wave_speed_high: np.ndarray
+
+
+def _with_sd(problem: Problem, found: Found, analysis: Analysis, function) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Value, standard deviation, and share of variance left open of function(circuit), by linear propagation.
+
+    Slopes by central differences: the formulas are smooth, cheap and in float64 on the host, so that the error
+    (about 1e-9 relative) does not matter and nothing has to be compiled.
+    """
+    parameters = [*problem.free, *problem.known]
+    numbers = np.concatenate([found.values, problem.known_values])
+
+    def evaluate(numbers) -> np.ndarray:
+        changes = {}
+        for number, parameter in zip(numbers, parameters, strict=True):
+            for path in getattr(parameter, "paths", None) or (parameter.path,):
+                if not path.startswith("initial."):
+                    changes[path] = number
+        return np.asarray(function(problem.circuit.replace(changes, check=False)))
+
+    steps = np.concatenate([analysis.steps, np.ones(len(problem.known))])
+    columns = []
+    for i, number in enumerate(numbers):
+        shift = np.zeros_like(numbers)
+        shift[i] = 1e-5 * abs(number) if number else 1e-9
+        columns.append((evaluate(numbers + shift) - evaluate(numbers - shift)) / (2.0 * shift[i]) * steps[i])
+    value, slopes = evaluate(numbers), np.stack(columns, axis=-1)
+    variance = np.einsum("...i,ij,...j->...", slopes, analysis.covariance.joint, slopes)
+    open_parts = (slopes[..., : len(problem.free)] @ analysis.covariance.open_directions.T) ** 2 * UNINFORMED**2
+    share = open_parts.sum(axis=-1) / np.maximum(variance, 1e-300)
+    return value, np.sqrt(np.maximum(variance, 0.0)), share
+
+
+def _visited(simulation: Simulation, line: Line) -> np.ndarray:
+    """Pressures that the line's node visited [Pa]."""
+    return np.asarray(simulation[f"{line.node}.pressure"])
+
+
+def derived_estimate(problem: Problem, found: Found, analysis: Analysis, simulation: Simulation, name: str) -> Estimate:
+    """A derived number such as "line.effective_bulk_modulus", at the median pressure of its node, with interval.
+
+    Raises: KeyError when the component or the method does not exist.
+    """
+    owner, _, method = name.partition(".")
+    component = problem.circuit.components.get(owner)
+    if component is None or not callable(getattr(component, method, None)) or not isinstance(component, Line):
+        lines = [f"{n}.{m}" for n, c in problem.circuit.components.items() if isinstance(c, Line) for m in UNITS]
+        raise KeyError(f"no derived number is called {name!r}; there are {', '.join(lines)}")
+    pressure = float(np.median(_visited(simulation, component)))
+    needs = inspect.signature(getattr(component, method)).parameters
+
+    def function(circuit):
+        given = {"fluid": circuit.fluid, "p": pressure}
+        return getattr(circuit.components[owner], method)(**{key: given[key] for key in needs})
+
+    value, sd, share = _with_sd(problem, found, analysis, function)
+    value, sd, unit = float(value), float(sd), UNITS.get(method, "1")
+    note = f"at {pressure / 1e6:.4g} MPa" if "p" in needs else ""
+    if share > 0.1:
+        return Estimate(value, None, None, unit, "unidentified", note)
+    return Estimate(value, sd, (value - NORMAL_95 * sd, value + NORMAL_95 * sd), unit, "interval", note)
+
+
+def line_curves(problem: Problem, found: Found, analysis: Analysis, simulation: Simulation) -> dict[str, Curve]:
+    """Curves of every line over the pressures it visited."""
+    curves = {}
+    for name, line in problem.circuit.components.items():
+        if not isinstance(line, Line) or simulation.status != "ok":
+            continue
+        visited = _visited(simulation, line)
+        pressure = np.geomspace(max(visited.min(), 1e3), max(visited.max(), 2e3), CURVE_POINTS)
+        bands = []
+        for method in ("effective_bulk_modulus", "wave_speed"):
+
+            def function(circuit, method=method, name=name, pressure=pressure):
+                return getattr(circuit.components[name], method)(circuit.fluid, pressure)
+
+            value, sd, _ = _with_sd(problem, found, analysis, function)
+            relative = NORMAL_95 * sd / value  # a band of a positive number is formed in its logarithm
+            bands += [value, value * np.exp(-relative), value * np.exp(relative)]
+        curves[name] = Curve(pressure, *bands)
+    return curves

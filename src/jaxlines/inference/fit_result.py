@@ -1,0 +1,84 @@
+"""What a fit returns, and how it reads."""
+
+import dataclasses
+
+import numpy as np
+
+from jaxlines.inference.analysis import ChannelFit
+from jaxlines.inference.curves import Curve
+from jaxlines.inference.uncertainty import Estimate
+from jaxlines.simulation.circuit import Circuit
+from jaxlines.simulation.validity import Validity
+
+
+@dataclasses.dataclass(frozen=True)
+class Fit:
+    """A fitted circuit.
+
+    Fields:
+        status: "converged", "at_bound", "stalled" or "failed", judged from the gradient at the end point and a
+            second simulation there; message: the same in words.
+        parameters: name -> Estimate; derived: the same for derived numbers.
+        correlations: of the free parameters in the order of `parameters`, shape (free, free).
+        channels: name -> ChannelFit; curves: line -> Curve.
+        identifiability: what cannot be told apart; scale: what the result rests on; warnings, in words.
+        singular_values: of the Jacobian scaled by the bounds, largest first (below 3.5: left open).
+        validity: of the lumped model in the fitted circuit; None when it could not be simulated.
+        circuit, initial: with the fitted numbers, to simulate on; num_evaluations; seconds.
+    """
+
+    status: str
+    message: str
+    parameters: dict[str, Estimate]
+    derived: dict[str, Estimate]
+    correlations: np.ndarray
+    channels: dict[str, ChannelFit]
+    curves: dict[str, Curve]
+    identifiability: tuple[str, ...]
+    scale: tuple[str, ...]
+    singular_values: np.ndarray
+    warnings: tuple[str, ...]
+    validity: Validity | None
+    circuit: Circuit
+    initial: dict[str, float]
+    num_evaluations: int
+    seconds: float
+
+    @staticmethod
+    def failure(circuit: Circuit, message: str, seconds: float) -> "Fit":
+        """A fit that found nothing."""
+        none = np.zeros((0, 0))
+        return Fit("failed", message, {}, {}, none, {}, {}, (), (), np.zeros(0), (), None, circuit, {}, 0, seconds)
+
+    def __str__(self) -> str:
+        lines = [f"{self.status}: {self.message} ({self.num_evaluations} evaluations, {self.seconds:.1f} s)", ""]
+        for name, estimate in (self.parameters | self.derived).items():
+            lines.append(f"  {name:<34} {describe(estimate)}")
+        lines.append("")
+        for name, channel in self.channels.items():
+            white = "white" if channel.white else "NOT white"
+            lines.append(
+                f"  {name}: rmse {channel.rmse:.4g} {channel.unit}, residuals {white} (p = {channel.whiteness_p:.2g})"
+            )
+        groups = {
+            "cannot be told apart": self.identifiability,
+            "rests on": self.scale,
+            "validity of the lumped model": self.validity.sentences() if self.validity else (),
+            "warnings": self.warnings,
+        }
+        for title, sentences in groups.items():
+            if sentences:
+                lines += ["", f"{title}:", *(f"  - {sentence}" for sentence in sentences)]
+        return "\n".join(lines)
+
+
+def describe(estimate: Estimate) -> str:
+    """An estimate in one line."""
+    unit = "" if estimate.unit == "1" else f" {estimate.unit}"
+    note = f"  ({estimate.note})" if estimate.note else ""
+    if estimate.kind == "unidentified" or estimate.ci95 is None:
+        return f"{estimate.value:.5g}{unit}, not identified{note}"
+    if estimate.kind == "upper_limit":
+        return f"< {estimate.ci95[1]:.3g}{unit}{note}"
+    low, high = estimate.ci95
+    return f"{estimate.value:.5g}{unit}  sd {estimate.sd:.2g}  95 % {low:.5g} .. {high:.5g}{note}"

@@ -1,0 +1,246 @@
+"""A circuit and a recording as residuals and an exact Jacobian, on a program compiled once per topology."""
+
+import dataclasses
+import functools
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxlines.inference.parameters import Free, Known
+from jaxlines.inference.recording import Recording
+from jaxlines.physics.fields import AbstractSignal
+from jaxlines.simulation.assembly import Plan, Values, compile_circuit, number_locations, set_numbers
+from jaxlines.simulation.circuit import Circuit, field_metadata
+from jaxlines.simulation.observation import quantities, sensor_units
+from jaxlines.simulation.paths import resolve
+from jaxlines.simulation.precision import cast, computing_in
+from jaxlines.simulation.result import STATUS
+from jaxlines.simulation.signals import Sampled
+from jaxlines.simulation.simulate import Method, bind_inputs, integrate
+
+
+def bucket(size: int) -> int:
+    """The next size of the form 2^k or 1.5 * 2^k, so that recordings of similar length share a program."""
+    power = 2 ** math.ceil(math.log2(max(size, 16)))
+    return 3 * power // 4 if size <= 3 * power // 4 else power
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1, 2, 3))
+def _predict(plan, wanted, method, locations, numbers, values, times, tolerance):
+    """Outputs (times, channels) and status for the numbers at some locations."""
+    found = integrate(plan, wanted, method, set_numbers(values, locations, numbers), times, tolerance)
+    return found.outputs, found.status
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1, 2, 3, 4))
+def _sensitivities(plan, wanted, method, locations, groups, numbers, values, times, tolerance):
+    """Outputs, d outputs / d parameters (times, channels, parameters) and status; exact, by forward mode.
+
+    `groups` gives for each parameter the positions of the numbers that it drives.
+    """
+
+    def outputs(shift):
+        shifted = numbers
+        for parameter, members in enumerate(groups):
+            shifted = shifted.at[np.asarray(members)].add(shift[parameter])
+        found = integrate(plan, wanted, method, set_numbers(values, locations, shifted), times, tolerance)
+        return found.outputs, (found.outputs, found.status)
+
+    slopes, (shown, status) = jax.jacfwd(outputs, has_aux=True)(jnp.zeros(len(groups), numbers.dtype))
+    return shown, slopes, status
+
+
+@dataclasses.dataclass(frozen=True)
+class Problem:
+    """Everything that stays the same while a fit searches.
+
+    Fields: circuit, recording, free, known; plan and values of the compiled circuit; wanted: fitted channels;
+    inputs bound to signals; locations: where the numbers of free and known parameters are; groups: which of
+    them each parameter drives.
+    """
+
+    circuit: Circuit
+    recording: Recording
+    free: tuple[Free, ...]
+    known: tuple[Known, ...]
+    initial: dict
+    inputs: dict[str, AbstractSignal]
+    plan: Plan
+    values: Values
+    wanted: tuple[str, ...]
+    units: tuple[str, ...]
+    method: Method
+    precision: str
+    tolerance: float
+    locations: tuple[tuple[int, int | None], ...]
+    groups: tuple[tuple[int, ...], ...]
+    known_values: np.ndarray
+
+    @property
+    def measured(self) -> np.ndarray:
+        """Measured values of the fitted channels, shape (times, channels)."""
+        return np.stack([self.recording.channels[name] for name in self.wanted], axis=1)
+
+    @property
+    def used(self) -> np.ndarray:
+        """Which samples count, shape (times, channels)."""
+        return np.stack([self.recording.mask[name] for name in self.wanted], axis=1)
+
+    def _padded_times(self) -> np.ndarray:
+        times = self.recording.times
+        return np.concatenate([times, np.full(bucket(times.size) - times.size, times[-1])])
+
+    def _arguments(self, free_values):
+        """What the compiled programs take, in the precision of the problem."""
+        every = np.concatenate([np.asarray(free_values, dtype=float), self.known_values])
+        repeated = np.concatenate([np.full(len(members), every[i]) for i, members in enumerate(self.groups)])
+        return cast((repeated, self.values, self._padded_times(), np.asarray(self.tolerance)), self.precision)
+
+    def predict(self, free_values) -> np.ndarray:
+        """Simulated channels, shape (times, channels); NaN when the simulation fails."""
+        with computing_in(self.precision):
+            found = _predict(self.plan, self.wanted, self.method, self.locations, *self._arguments(free_values))
+            outputs, status = (np.asarray(x) for x in found)
+        return self._trimmed(outputs, status)
+
+    def sensitivities(self, free_values) -> tuple[np.ndarray, np.ndarray]:
+        """Simulated channels and their slopes by every free and known parameter, in SI (not coordinates)."""
+        with computing_in(self.precision):
+            static = (self.plan, self.wanted, self.method, self.locations, self.groups)
+            outputs, slopes, status = (np.asarray(x) for x in _sensitivities(*static, *self._arguments(free_values)))
+        return self._trimmed(outputs, status), self._trimmed(slopes, status)
+
+    def _trimmed(self, array, status) -> np.ndarray:
+        """Without padding, in float64, NaN for a failed trajectory (its derivatives would be zero, not unknown).
+
+        Tension is let through: a search may pass through it, and the end point is looked at again.
+        """
+        array = np.asarray(array[: self.recording.times.size], dtype=np.float64)
+        return array if status in (STATUS["ok"], STATUS["tension"]) else np.full_like(array, np.nan)
+
+    def with_numbers(self, free_values) -> tuple[Circuit, dict]:
+        """The circuit and the initial values with these numbers."""
+        changes, initial = {}, dict(self.initial)
+        for parameter, value in zip(self.free, free_values, strict=True):
+            for path in parameter.paths:
+                if path.startswith("initial."):
+                    initial[path.removeprefix("initial.")] = float(value)
+                else:
+                    changes[path] = float(value)
+        return self.circuit.replace(changes), initial
+
+
+def _split_channels(circuit: Circuit, plan: Plan, recording: Recording) -> tuple[list[str], dict[str, str]]:
+    """Channels that are fitted, and the unit of every output of the circuit."""
+    units = {name: q.unit for name, q in quantities(plan).items()} | sensor_units(circuit, plan)
+    inputs = circuit.external_inputs()
+    fitted = []
+    for channel in recording.channels:
+        if channel in inputs:
+            continue
+        if channel not in units:
+            resolve(channel, [*units, *inputs], "output or input")
+        fitted.append(channel)
+    if not fitted:
+        raise ValueError(
+            f"{recording.name}: no channel of the recording is an output of the circuit; channels: "
+            f"{', '.join(recording.channels)}; outputs: {', '.join(units)}"
+        )
+    return fitted, units
+
+
+def _recorded_inputs(circuit: Circuit, recording: Recording) -> dict[str, Sampled]:
+    """The channels that drive the circuit, as signals; missing samples are refused."""
+    signals = {}
+    for name in circuit.external_inputs():
+        if name not in recording.channels:
+            raise ValueError(
+                f"{recording.name}: the circuit needs a channel {name!r} as input; it has {', '.join(recording.channels)}"
+            )
+        values, good = recording.channels[name], recording.mask[name]
+        if not good.all():
+            at = recording.times[int(np.argmin(good))]
+            raise ValueError(
+                f"{recording.name}: input channel {name!r} has {int((~good).sum())} missing samples, the first at "
+                f"{at:g} s: an input must be complete (fill it, or choose a window without the gap)"
+            )
+        signals[name] = Sampled(recording.times, values)
+    return signals
+
+
+def _check_parameters(circuit: Circuit, free, known, locations) -> tuple[tuple[Free, ...], tuple[Known, ...]]:
+    """Free and known parameters with full paths; raises for unknown, repeated or out-of-range ones."""
+    full_free, full_known, seen = [], [], set()
+    for parameter in free:
+        paths = tuple(resolve(path, locations) for path in parameter.paths)
+        full_free.append(dataclasses.replace(parameter, path=paths, name=parameter.label))
+    for number in known:
+        full_known.append(dataclasses.replace(number, path=resolve(number.path, locations)))
+    for path in [p for f in full_free for p in f.paths] + [k.path for k in full_known]:
+        if path in seen:
+            raise ValueError(f"{path} is given twice among the free and known parameters")
+        seen.add(path)
+    for parameter in full_free:
+        for path in parameter.paths:
+            metadata = number_metadata(circuit, path)
+            if metadata and not (metadata["low"] <= parameter.bounds[0] and parameter.bounds[1] <= metadata["high"]):
+                raise ValueError(
+                    f"{path}: bounds must lie in {metadata['low']:g}..{metadata['high']:g} {metadata['unit']}, got "
+                    f"{parameter.bounds[0]:g}..{parameter.bounds[1]:g}{': ' + metadata['slip'] if metadata['slip'] else ''}"
+                )
+    if not full_free:
+        raise ValueError("a fit needs at least one free parameter, such as Free('fluid.bulk_modulus', (0.6e9, 2.5e9))")
+    return tuple(full_free), tuple(full_known)
+
+
+def number_metadata(circuit: Circuit, path: str) -> dict:
+    """Unit and range of a number or an initial value; empty where none is declared."""
+    if not path.startswith("initial."):
+        return field_metadata(circuit, path)
+    if path.endswith(".pressure"):
+        return {"unit": "Pa", "low": 0.0, "high": 1e9, "slip": "pressures are absolute and in Pa"}
+    return {}
+
+
+def make_problem(circuit, recording, free, known, initial, method, tolerance, precision) -> Problem:
+    """Check a fit's arguments and compile them into a problem. Raises as `fit` documents."""
+    with computing_in(precision):
+        signals = bind_inputs(circuit, _recorded_inputs(circuit, recording), recording.times)
+        padded = {name: signal.padded(bucket(recording.times.size)) for name, signal in signals.items()}
+        plan, values = compile_circuit(circuit, initial, padded)
+        fitted, units = _split_channels(circuit, plan, recording)
+        known_locations = number_locations(plan, values)
+    free, known = _check_parameters(circuit, free, known, known_locations)
+    paths, groups = [], []
+    for parameter in [*free, *known]:
+        members = parameter.paths if isinstance(parameter, Free) else (parameter.path,)
+        groups.append(tuple(range(len(paths), len(paths) + len(members))))
+        paths += members
+    known_values = np.asarray([float(_number(values, known_locations, k.path)) for k in known])
+    return Problem(
+        circuit=circuit,
+        recording=recording,
+        free=free,
+        known=known,
+        initial=dict(initial or {}),
+        inputs=signals,
+        plan=plan,
+        values=values,
+        wanted=tuple(fitted),
+        units=tuple(units[name] for name in fitted),
+        method=method,
+        precision=precision,
+        tolerance=tolerance,
+        locations=tuple(known_locations[path] for path in paths),
+        groups=tuple(groups),
+        known_values=known_values,
+    )
+
+
+def _number(values: Values, locations, path: str):
+    """The present value of a number by its path."""
+    position, member = locations[path]
+    leaf = np.asarray(jax.tree.leaves(values)[position])
+    return leaf if member is None else leaf[member]

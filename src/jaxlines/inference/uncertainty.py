@@ -1,0 +1,137 @@
+"""How sure a fit is: covariance, intervals, what cannot be told apart, whether residuals are white."""
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxlines.inference.parameters import Free
+
+NORMAL_95, NORMAL_ONE_SIDED_95 = 1.959963984540054, 1.6448536269514722
+UNINFORMED = 1.0 / np.sqrt(12.0)
+"""Standard deviation of a uniform distribution in units of its width: what is known from the bounds alone."""
+
+WHITE_LIMIT = 0.01
+"""Level of the whiteness test: right models fail it once in a hundred."""
+
+
+class Estimate(NamedTuple):
+    """A number with its uncertainty.
+
+    kind: "interval" (sd and 95 % interval), "upper_limit" (not detected: ci95 = (0, one-sided 95 % limit)), or
+    "unidentified" (the data leave it open: no sd, no interval); note: conditions, in words.
+    """
+
+    value: float
+    sd: float | None
+    ci95: tuple[float, float] | None
+    unit: str
+    kind: str
+    note: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Covariance:
+    """Joint covariance of free and known parameters in analysis coordinates, and what the data leave open.
+
+    Fields: joint, shape (free + known, free + known); free_part: its upper left block from the data alone;
+    open_share: for each free parameter the share of its variance that comes from directions the data leave
+    open; open_directions: those directions in coordinates, shape (directions, free); singular_values of the
+    Jacobian scaled by the widths of the bounds, largest first.
+    """
+
+    joint: np.ndarray
+    free_part: np.ndarray
+    open_share: np.ndarray
+    open_directions: np.ndarray
+    singular_values: np.ndarray
+
+
+def covariance(jacobian, known_jacobian, widths, known_sd) -> Covariance:
+    """Covariance at the optimum from the weighted Jacobian, in the coordinates of its columns.
+
+    Args: jacobian, shape (samples, free), of residuals divided by their noise; known_jacobian, shape (samples,
+    known); widths of the bounds in the same coordinates; known_sd: standard uncertainties of the known numbers.
+
+    Directions in which a standard error would exceed what the bounds alone say (width/sqrt(12)) are left open:
+    they get that variance and are reported. Known numbers enter through d free / d known = -J^+ J_known.
+    """
+    scaled = jacobian * widths
+    left, singular, right = np.linalg.svd(scaled, full_matrices=False)
+    known = singular > 1.0 / UNINFORMED
+    variances = np.where(known, 1.0 / np.maximum(singular, 1e-300) ** 2, UNINFORMED**2)
+    directions = right * widths
+    parts = directions**2 * variances[:, None]
+    free_part = (directions.T * variances) @ directions
+    open_share = parts[~known].sum(axis=0) / parts.sum(axis=0)
+    gain = -(directions[known].T / singular[known]) @ (left[:, known].T @ known_jacobian)
+    spread = np.diag(np.asarray(known_sd, dtype=float) ** 2)
+    joint = np.block([[free_part + gain @ spread @ gain.T, gain @ spread], [spread @ gain.T, spread]])
+    return Covariance(joint, free_part, open_share, directions[~known], singular)
+
+
+def make_estimate(
+    parameter: Free, value: float, sd: float, open_share: float, unit: str, natural_sd: float, zero: bool
+) -> Estimate:
+    """The estimate of a free parameter from the standard deviation `sd` of its coordinate.
+
+    natural_sd: standard deviation in a linear coordinate; zero: whether the number is bounded by a physical zero,
+    so that a value within 1.96 natural_sd of it is an upper limit.
+    """
+    if zero and value <= NORMAL_95 * natural_sd and value + NORMAL_ONE_SIDED_95 * natural_sd < parameter.bounds[1]:
+        limit = value + NORMAL_ONE_SIDED_95 * natural_sd
+        return Estimate(value, natural_sd, (0.0, limit), unit, "upper_limit", "not detected: 95 % upper limit")
+    if open_share > 0.1:
+        return Estimate(value, None, None, unit, "unidentified", "the recording leaves it open within its bounds")
+    coordinate = parameter.to_coordinate(value)
+    low, high = (float(parameter.to_value(coordinate + z * NORMAL_95 * sd)) for z in (-1, 1))
+    return Estimate(value, float(parameter.slope(value)) * sd, (low, high), unit, "interval")
+
+
+def ljung_box(residuals, used, lags: int = 20) -> float:
+    """p-value of the Ljung-Box test that equally spaced residuals are uncorrelated up to `lags`.
+
+    Q = n (n + 2) sum_k r_k^2/(n - k), chi-squared with `lags` degrees of freedom; pairs with a missing sample are
+    left out. Reference: Ljung and Box, "On a measure of lack of fit in time series models", Biometrika 65, 1978.
+    """
+    from scipy.stats import chi2
+
+    count = int(used.sum())
+    lags = min(lags, count // 5)
+    if lags < 1:
+        return 1.0
+    centred = np.where(used, residuals - residuals[used].mean(), 0.0)
+    variance = (centred**2).sum() / count
+    if variance <= 0.0:
+        return 1.0
+    statistic = 0.0
+    for lag in range(1, lags + 1):
+        pairs = int((used[lag:] & used[:-lag]).sum())
+        if pairs:
+            correlation = (centred[lag:] * centred[:-lag]).sum() / pairs / variance
+            statistic += pairs * (count + 2.0) / count * correlation**2
+    return float(chi2.sf(statistic, lags))
+
+
+def describe_open_directions(labels, found: Covariance) -> tuple[str, ...]:
+    """What the recording cannot tell apart, in words."""
+    sentences = []
+    for direction in found.open_directions:
+        size = np.abs(direction) / np.abs(direction).max()
+        names = [labels[i] for i in np.argsort(-size) if size[i] > 0.1]
+        if len(names) == 1:
+            sentences.append(f"the recording says nothing about {names[0]} within its bounds")
+        else:
+            sentences.append(f"the recording fixes {', '.join(names[:-1])} and {names[-1]} only together")
+    return tuple(sentences)
+
+
+def describe_correlations(labels, correlations, limit: float = 0.95) -> tuple[str, ...]:
+    """Pairs that trade off strongly, in words."""
+    return tuple(
+        f"{labels[i]} and {labels[j]} trade off (correlation {correlations[i, j]:+.3f}): "
+        "each interval holds only because both were free together"
+        for i in range(len(labels))
+        for j in range(i)
+        if abs(correlations[i, j]) > limit
+    )
