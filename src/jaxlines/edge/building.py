@@ -1,0 +1,171 @@
+"""From tables of a study file to fluid, components, containers and signals.
+
+What a table may contain is read from the fields of the class it describes and their metadata, so that a new
+component needs nothing here.
+"""
+
+import dataclasses
+import difflib
+import re
+import typing
+
+import numpy as np
+
+import jaxlines
+from jaxlines.edge.units import si
+from jaxlines.physics.component import AbstractComponent
+from jaxlines.physics.containers import AbstractContainer
+from jaxlines.physics.fields import AbstractSignal
+from jaxlines.physics.fluids import Oil
+from jaxlines.physics.sensors import AbstractSensor
+from jaxlines.simulation.circuit import Circuit
+
+
+class StudyError(ValueError):
+    """A study that cannot be used; the text says where and why, in one line."""
+
+
+def _kinds(*bases: type) -> dict[str, type]:
+    """The public classes of jaxlines that are of one of these kinds, by name."""
+    return {name: kind for name, kind in vars(jaxlines).items() if isinstance(kind, type) and issubclass(kind, bases)}
+
+
+def suggest(word: str, known) -> str:
+    """ "did you mean ...?", or what is known."""
+    known = list(known)
+    near = difflib.get_close_matches(word, known, n=1, cutoff=0.6)
+    return f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
+
+
+def _snake(name: str) -> str:
+    """ "FlowSource" as "flow_source"."""
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
+
+
+@dataclasses.dataclass(frozen=True)
+class Builder:
+    """Makes objects of tables; gauge pressures count from `atmospheric_pressure` [Pa]."""
+
+    atmospheric_pressure: float
+
+    def number(self, value, metadata: dict, where: str):
+        """A number, or an array of them from a list, in the unit of its field."""
+        unit, level = metadata["unit"], bool(metadata.get("level"))
+        try:
+            if isinstance(value, list):
+                return np.asarray([self._si(item, unit, level) for item in value])
+            return self._si(value, unit, level)
+        except (ValueError, TypeError) as error:
+            raise StudyError(f"{where}: {error}") from error
+
+    def _si(self, value, unit: str, level: bool) -> float:
+        return si(value, unit, level=level, atmospheric_pressure=self.atmospheric_pressure)
+
+    def driven(self, value, metadata: dict, where: str):
+        """A number, the name of an input from {input = "..."}, or a signal from {step = {...}}."""
+        if not isinstance(value, dict):
+            return self.number(value, metadata, where)
+        kinds = {_snake(name): kind for name, kind in _kinds(AbstractSignal).items()}
+        if len(value) != 1 or next(iter(value)) not in ["input", *kinds]:
+            found = next(iter(value), "nothing")
+            raise StudyError(
+                f'{where}: expected a number, {{ input = "name" }} or a signal such as {{ step = {{ ... }} }}, '
+                f"got {found!r}: {suggest(str(found), ['input', *kinds])}"
+            )
+        kind, content = next(iter(value.items()))
+        if kind != "input":
+            return self.module(kinds[kind], content, f"{where}.{kind}", metadata)
+        if not isinstance(content, str) or not content:
+            raise StudyError(f"{where}.input: expected the name of an input, got {content!r}")
+        return content
+
+    def module(self, kind: type, table, where: str, driven: dict | None = None):
+        """An object of a class from its table; `driven` is the metadata of what a signal drives."""
+        if not isinstance(table, dict):
+            raise StudyError(f"{where}: expected a table for a {kind.__name__}, got {table!r}")
+        fields = {field.name: field for field in dataclasses.fields(kind) if field.init}
+        for key in table:
+            if key not in fields and key != "type":
+                raise StudyError(f"{where}: unknown key {key!r}, {suggest(key, fields)}")
+        for name, field in fields.items():
+            no_default = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+            if name not in table and no_default:
+                raise StudyError(f"{where}: {name!r} is missing ({kind.__name__})")
+        hints = typing.get_type_hints(kind)
+        given = {
+            name: self._field(field, hints.get(name), table[name], f"{where}.{name}", driven)
+            for name, field in fields.items()
+            if name in table
+        }
+        try:
+            return kind(**given)
+        except (ValueError, TypeError) as error:
+            raise StudyError(f"{where}: {error}") from error
+
+    def _field(self, field, hint, value, where: str, driven: dict | None):
+        """One field of a table by what the class says of it."""
+        metadata = dict(field.metadata)
+        if driven is not None:
+            metadata = _signal_metadata(field.name, metadata, driven)
+        if metadata.get("driven") and driven is None:
+            return self.driven(value, metadata, where)
+        if "unit" in metadata:
+            return self.number(value, metadata, where)
+        if _mentions(hint, AbstractContainer):
+            tables = value if isinstance(value, list) else [value]
+            return tuple(self.choose(t, (AbstractContainer,), f"{where}.{i}") for i, t in enumerate(tables))
+        wanted = hint if hint in (int, float, bool) else str
+        if type(value) is not wanted:
+            what = "the name of a node" if "port" in metadata else f"a value of type {wanted.__name__}"
+            raise StudyError(f"{where}: expected {what}, got {value!r}")
+        return value
+
+    def choose(self, table, bases: tuple[type, ...], where: str, default: str | None = None):
+        """An object of the class that the key `type` names."""
+        kinds = _kinds(*bases)
+        if not isinstance(table, dict):
+            raise StudyError(f"{where}: expected a table, got {table!r}")
+        name = table.get("type", default)
+        if name is None:
+            raise StudyError(f"{where}: 'type' is missing; known: {', '.join(kinds)}")
+        if name not in kinds:
+            raise StudyError(f"{where}: unknown type {name!r}, {suggest(str(name), kinds)}")
+        return self.module(kinds[name], table, where)
+
+
+def _signal_metadata(name: str, metadata: dict, driven: dict) -> dict:
+    """What a number of a signal is: a time, or a value of what the signal drives (amplitudes are differences)."""
+    if name == "times":
+        return {"unit": "s"}
+    if name == "values" or metadata.get("unit") == "1":
+        return {**driven, "level": driven.get("level") and name != "amplitude"}
+    return metadata
+
+
+def _mentions(hint, base: type) -> bool:
+    """Whether an annotation is of a class of this kind, or contains one."""
+    if isinstance(hint, type) and not typing.get_args(hint):
+        return issubclass(hint, base)
+    return any(_mentions(inner, base) for inner in typing.get_args(hint))
+
+
+def _atmosphere(fluid: dict) -> float:
+    """The atmospheric pressure of a fluid's table [Pa]; it cannot be gauge itself."""
+    text = fluid.get("atmospheric_pressure", f"{float(Oil.atmospheric_pressure)} Pa_a")
+    if isinstance(text, str) and text.strip().endswith("_g"):
+        raise StudyError(f"fluid.atmospheric_pressure: {text!r} must be absolute, such as 1.013 bar_a")
+    return Builder(0.0).number(text, {"unit": "Pa", "level": True}, "fluid.atmospheric_pressure")
+
+
+def build_circuit(fluid: dict, components: dict) -> tuple[Circuit, Builder]:
+    """The circuit of a study, and the builder that knows its atmosphere. Raises StudyError with the place."""
+    builder = Builder(_atmosphere(fluid))
+    oil = builder.choose(fluid, (Oil,), "fluid", "Oil")
+    parts = {
+        name: builder.choose(table, (AbstractComponent, AbstractSensor), f"circuit.{name}")
+        for name, table in components.items()
+    }
+    try:
+        return Circuit(oil, parts), builder
+    except (ValueError, TypeError) as error:
+        raise StudyError(f"circuit: {error}") from error

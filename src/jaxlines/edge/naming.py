@@ -1,0 +1,66 @@
+"""What the circuit of a study can be asked for and given, by name and with units."""
+
+import contextlib
+from typing import NamedTuple
+
+from jaxlines.edge.building import StudyError, suggest
+from jaxlines.physics.fields import driven_of
+from jaxlines.simulation.assembly import compile_circuit, initial_names
+from jaxlines.simulation.circuit import Circuit, field_metadata
+from jaxlines.simulation.observation import quantities, sensor_units
+from jaxlines.simulation.paths import resolve
+from jaxlines.simulation.precision import computing_in
+from jaxlines.simulation.signals import Constant
+
+
+class Names(NamedTuple):
+    """Outputs, inputs and initial values: name -> metadata; observed: outputs that every simulation keeps."""
+
+    outputs: dict[str, dict]
+    inputs: dict[str, dict]
+    initial: dict[str, dict]
+    observed: tuple[str, ...]
+
+
+@contextlib.contextmanager
+def at(place: str):
+    """Errors inside become a StudyError that names the place."""
+    try:
+        yield
+    except (ValueError, TypeError, KeyError, OSError) as error:
+        text = str(error.args[0]) if isinstance(error, KeyError) else str(error)
+        raise StudyError(f"{place}: {text}" if place else text) from error
+
+
+def names_of(circuit: Circuit) -> Names:
+    """The names of a circuit. Raises ValueError for one that cannot be simulated."""
+    inputs = {
+        name: driven_of(circuit.components[places[0][0]])[places[0][1]]
+        for name, places in circuit.external_inputs().items()
+    }
+    with computing_in("float64"):
+        plan, _ = compile_circuit(circuit, None, {name: Constant(0.0) for name in inputs})
+        known, sensors = quantities(plan), sensor_units(circuit, plan)
+    units = {name: q.unit for name, q in known.items()} | sensors
+    outputs = {name: {"unit": unit, "level": unit == "Pa"} for name, unit in units.items()}
+    observed = [name for name, q in known.items() if q.room != "port"]
+    return Names(outputs, inputs, {name: outputs[name] for name in initial_names(plan)}, (*observed, *sensors))
+
+
+def look_up(name: str, known: dict[str, dict], where: str, what: str) -> dict:
+    """The metadata of a name. Raises StudyError that suggests near names."""
+    if name not in known:
+        raise StudyError(f"{where}: no {what} is called {name!r}, {suggest(name, known)}")
+    return known[name]
+
+
+def path_metadata(circuit: Circuit, names: Names, path: str, where: str) -> dict:
+    """Unit of the number at a path, and whether it is a pressure level (an amplitude is a difference)."""
+    if path.startswith("initial."):
+        return look_up(path.removeprefix("initial."), names.initial, where, "initial value")
+    with at(where):
+        full = resolve(path, circuit.paths())
+    metadata = field_metadata(circuit, full)
+    if not metadata:
+        raise StudyError(f"{where}: {path!r} has no declared unit, so that it cannot be free or uncertain")
+    return {**metadata, "level": metadata.get("level") and not full.endswith(".amplitude")}

@@ -1,0 +1,233 @@
+"""Study files: a circuit, a recording, what is free and what to simulate, in TOML with units."""
+
+import dataclasses
+import importlib.resources
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxlines.edge.building import Builder, StudyError, build_circuit
+from jaxlines.edge.naming import Names, at, look_up, names_of, path_metadata
+from jaxlines.edge.reading import read_recording
+from jaxlines.edge.tables import FitTable, NumericsTable, RecordingTable, SimulateTable, check_layout
+from jaxlines.inference.fit import fit
+from jaxlines.inference.fit_result import Fit
+from jaxlines.inference.parameters import Free, Known
+from jaxlines.inference.recording import Recording
+from jaxlines.simulation.circuit import Circuit
+from jaxlines.simulation.observation import is_gauge
+from jaxlines.simulation.result import Simulation
+from jaxlines.simulation.signals import Sampled
+from jaxlines.simulation.simulate import implicit, simulate
+
+EXAMPLE = "example:"
+MEASURED = "measured"
+
+
+@dataclasses.dataclass(frozen=True)
+class Study:
+    """A study, read and checked; all numbers in SI.
+
+    Fields: title; source: where it was read from; circuit; initial: name -> value, or "measured"; recording, or
+    None; free and known parameters; noise: standard deviations of channels; fit_options, numerics: further
+    arguments of `fit` and `simulate`; times, inputs and outputs of [simulate]; names of the circuit.
+    """
+
+    title: str
+    source: str
+    circuit: Circuit
+    names: Names
+    initial: dict[str, Any] = dataclasses.field(default_factory=dict)
+    recording: Recording | None = None
+    free: tuple[Free, ...] = ()
+    known: tuple[Known, ...] = ()
+    noise: dict[str, float] = dataclasses.field(default_factory=dict)
+    fit_options: dict[str, Any] = dataclasses.field(default_factory=dict)
+    numerics: dict[str, Any] = dataclasses.field(default_factory=dict)
+    times: np.ndarray | None = None
+    inputs: dict[str, Any] = dataclasses.field(default_factory=dict)
+    outputs: tuple[str, ...] = ()
+
+    def fit(self, progress=None) -> Fit:
+        """Fit the free parameters to the recording. Raises: StudyError without [recording] or [fit]; as `fit`."""
+        if self.recording is None:
+            raise StudyError(f"{self.source}: there is nothing to fit to: add a table [recording]")
+        if not self.free:
+            raise StudyError(f"{self.source}: nothing is free: add [[fit.free]] with path and bounds")
+        return fit(
+            self.circuit,
+            self.recording,
+            free=list(self.free),
+            known=list(self.known),
+            noise=self.noise or None,
+            initial=self.initial,
+            progress=progress,
+            **self.fit_options,
+            **self.numerics,
+        )
+
+    def simulate(self, *, on_recording: bool = False) -> Simulation:
+        """Simulate with the numbers of the file, over the times of [simulate] or else of the recording.
+
+        Args: on_recording: over the recording even when there is a table [simulate].
+        Inputs that [simulate.inputs] does not give come from the recording. Raises: StudyError when there are no
+        times; as `simulate`.
+        """
+        use_recording = self.recording is not None and (on_recording or self.times is None)
+        times = self.recording.times if use_recording else self.times
+        if times is None:
+            raise StudyError(f'{self.source}: there is nothing to simulate: add a table [simulate] with stop = "1 s"')
+        inputs = self._recorded_inputs() | ({} if on_recording else self.inputs)
+        recorded = [name for name in self._channels() if name in self.names.outputs]
+        wanted = dict.fromkeys([*self.names.observed, *self.outputs, *recorded])
+        return simulate(self.circuit, times, inputs, initial=self._start(), outputs=list(wanted), **self.numerics)
+
+    def _channels(self) -> dict[str, np.ndarray]:
+        """The channels of the recording, if there is one."""
+        return self.recording.channels if self.recording is not None else {}
+
+    def _start(self) -> dict[str, float]:
+        """Initial values, with the first usable sample where they are "measured"."""
+        start = {}
+        for name, value in self.initial.items():
+            start[name] = self._channels()[name][np.argmax(self.recording.mask[name])] if value == MEASURED else value
+        return start
+
+    def _recorded_inputs(self) -> dict[str, Any]:
+        """The channels of the recording that drive the circuit, without their missing samples."""
+        signals = {}
+        for name in self.names.inputs:
+            if name in self._channels():
+                good = self.recording.mask[name]
+                signals[name] = Sampled(self.recording.times[good], self.recording.channels[name][good])
+        return signals
+
+
+def _read_recording(
+    table: RecordingTable, folder: Path, circuit: Circuit, names: Names, atmosphere: float
+) -> Recording:
+    """The recording of a study; the pressures of gauge sensors are gauge again."""
+    known, where = {**names.outputs, **names.inputs}, "recording.channels"
+    units = {channel: look_up(channel, known, where, "output or input")["unit"] for channel in table.channels}
+    with at("recording"):
+        recording = read_recording(
+            folder / table.file, time=table.time, channels=table.channels, atmospheric_pressure=atmosphere, units=units
+        )
+    channels = {
+        name: values - atmosphere if is_gauge(circuit, name) else values for name, values in recording.channels.items()
+    }
+    return dataclasses.replace(recording, channels=channels)
+
+
+def _parameters(table: FitTable, circuit: Circuit, names: Names, builder: Builder) -> tuple[tuple, tuple]:
+    """Free and known parameters in SI."""
+    free, known = [], []
+    for i, entry in enumerate(table.free):
+        where = f"fit.free.{i}"
+        metadata = [path_metadata(circuit, names, path, where) for path in entry.path]
+        if len({m["unit"] for m in metadata}) > 1:
+            raise StudyError(f"{where}: {', '.join(entry.path)} have different units: they cannot share a value")
+        low, high = (builder.number(bound, metadata[0], f"{where}.bounds") for bound in entry.bounds)
+        start = None if entry.start is None else builder.number(entry.start, metadata[0], f"{where}.start")
+        path = entry.path[0] if len(entry.path) == 1 else tuple(entry.path)
+        with at(where):
+            free.append(Free(path, (low, high), start, entry.transform, entry.name))
+    for i, entry in enumerate(table.known):
+        where = f"fit.known.{i}"
+        metadata = {**path_metadata(circuit, names, entry.path, where), "level": False}
+        sd = builder.number(entry.sd, metadata, f"{where}.sd")
+        with at(where):
+            known.append(Known(entry.path, sd))
+    return tuple(free), tuple(known)
+
+
+def _simulation(table: SimulateTable, names: Names, builder: Builder) -> dict:
+    """Times, inputs and outputs of [simulate]."""
+    start, stop = (builder.number(getattr(table, end), {"unit": "s"}, f"simulate.{end}") for end in ("start", "stop"))
+    if not start < stop:
+        raise StudyError(f"simulate: stop must be after start, got {start:g} s and {stop:g} s")
+    inputs = {}
+    for name, value in table.inputs.items():
+        metadata = look_up(name, names.inputs, "simulate.inputs", "input")
+        if isinstance(value, dict) and "input" in value:
+            raise StudyError(f"simulate.inputs.{name}: an input cannot be another input: give a number or a signal")
+        inputs[name] = builder.driven(value, metadata, f"simulate.inputs.{name}")
+    for name in table.outputs:
+        look_up(name, names.outputs, "simulate.outputs", "output")
+    return {"times": np.linspace(start, stop, table.samples), "inputs": inputs, "outputs": tuple(table.outputs)}
+
+
+def _initial(given: dict, names: Names, recording: Recording | None, builder: Builder) -> dict:
+    """Initial values in SI, or "measured" where a channel of that name gives them."""
+    initial = {}
+    for name, value in given.items():
+        metadata = look_up(name, names.initial, "initial", "state")
+        if value != MEASURED:
+            initial[name] = builder.number(value, metadata, f"initial.{name}")
+        elif recording is not None and name in recording.channels:
+            initial[name] = MEASURED
+        else:
+            raise StudyError(f'initial.{name}: cannot be "measured": the recording has no channel {name!r}')
+    return initial
+
+
+def _numerics(table: NumericsTable) -> dict:
+    """The arguments of `fit` and `simulate` that say how to compute."""
+    solver = implicit() if table.solver == "implicit" else None
+    return {**table.model_dump(exclude={"solver"}), "solver": solver}
+
+
+def _build(content: dict, folder: Path, source: str) -> Study:
+    """A study from the content of its file."""
+    layout = check_layout(content)
+    circuit, builder = build_circuit(layout.fluid, layout.circuit)
+    with at("circuit"):
+        names = names_of(circuit)
+    recording, found = None, {}
+    if layout.recording is not None:
+        recording = _read_recording(layout.recording, folder, circuit, names, builder.atmospheric_pressure)
+        found["noise"] = {
+            name: builder.number(
+                value, {**look_up(name, names.outputs, "recording.noise", "output"), "level": False}, f"noise.{name}"
+            )
+            for name, value in layout.recording.noise.items()
+        }
+    if layout.fit is not None:
+        found["free"], found["known"] = _parameters(layout.fit, circuit, names, builder)
+        found["fit_options"] = layout.fit.model_dump(include={"derived", "starts", "seed"})
+    if layout.simulate is not None:
+        found |= _simulation(layout.simulate, names, builder)
+    found["initial"] = _initial(layout.initial, names, recording, builder)
+    title = layout.title or Path(source).stem
+    return Study(title, source, circuit, names, recording=recording, numerics=_numerics(layout.numerics), **found)
+
+
+def _locate(source: str) -> Path:
+    """The file of a study; "example:NAME" is one of the package."""
+    if not source.startswith(EXAMPLE):
+        return Path(source)
+    folder = Path(str(importlib.resources.files("jaxlines") / "examples"))
+    path = folder / f"{source.removeprefix(EXAMPLE)}.toml"
+    if not path.is_file():
+        known = sorted(p.stem for p in folder.glob("*.toml"))
+        raise StudyError(f"{source}: no such example; there are {', '.join(known) or 'none'}")
+    return path
+
+
+def load_study(source) -> Study:
+    """Read a study from a TOML file, or "example:NAME" from the package.
+
+    Raises: StudyError, in one line that starts with the file, for anything that is wrong in it.
+    """
+    source = str(source)
+    path = _locate(source)
+    with at(source):
+        if not path.is_file():
+            raise StudyError("is a folder, not a study file" if path.is_dir() else "no such file")
+        try:
+            content = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise StudyError(f"not valid TOML: {error}") from error
+        return _build(content, path.parent, source)

@@ -1,0 +1,135 @@
+"""The layout of a study file: its tables and keys, checked by pydantic."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from jaxlines.edge.building import StudyError, suggest
+
+Number = str | int | float
+
+
+def _flat(value):
+    """Tables in tables as one with dotted names, so that `A.pressure = ...` may stand without quotes."""
+    if not isinstance(value, dict):
+        return value
+    flat = {}
+    for key, inner in value.items():
+        if isinstance(inner, dict):
+            flat |= {f"{key}.{rest}": item for rest, item in _flat(inner).items()}
+        else:
+            flat[key] = inner
+    return flat
+
+
+def _as_list(value):
+    """One text as a list of one."""
+    return [value] if isinstance(value, str) else value
+
+
+class Table(BaseModel):
+    """A table of the file; unknown keys are errors."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+class RecordingTable(Table):
+    """[recording]: the file, its columns, and standard deviations of the noise."""
+
+    file: str
+    time: str | list[str]
+    channels: Annotated[dict[str, str | list[str]], BeforeValidator(_flat)]
+    noise: Annotated[dict[str, Number], BeforeValidator(_flat)] = {}
+
+
+class FreeTable(Table):
+    """[[fit.free]]: a parameter to be estimated."""
+
+    path: Annotated[list[str], BeforeValidator(_as_list), Field(min_length=1)]
+    bounds: Annotated[list[Number], Field(min_length=2, max_length=2)]
+    start: Number | None = None
+    transform: Literal["identity", "log", "logit"] = "identity"
+    name: str = ""
+
+
+class KnownTable(Table):
+    """[[fit.known]]: a fixed number with its standard uncertainty."""
+
+    path: str
+    sd: Number
+
+
+class FitTable(Table):
+    """[fit]: what is free, what is known, what is derived."""
+
+    free: Annotated[list[FreeTable], Field(min_length=1)]
+    known: list[KnownTable] = []
+    derived: list[str] = []
+    starts: Annotated[int, Field(ge=1)] = 1
+    seed: Annotated[int, Field(ge=0)] = 0
+
+
+class SimulateTable(Table):
+    """[simulate]: the times, inputs and outputs of a simulation."""
+
+    stop: Number
+    start: Number = "0 s"
+    samples: Annotated[int, Field(ge=2)] = 500
+    outputs: list[str] = []
+    inputs: dict[str, Any] = {}
+
+
+class NumericsTable(Table):
+    """[numerics]: how trajectories are computed."""
+
+    solver: Literal["explicit", "implicit"] = "explicit"
+    tolerance: Annotated[float, Field(gt=0, lt=1)] = 1e-7
+    max_steps: Annotated[int, Field(ge=1)] = 100_000
+    precision: Literal["float64", "float32"] = "float64"
+
+
+class StudyTable(Table):
+    """The whole file. The contents of [fluid] and [circuit] are read from the classes that they describe."""
+
+    title: str = ""
+    fluid: dict[str, Any]
+    circuit: Annotated[dict[str, dict[str, Any]], Field(min_length=1)]
+    initial: Annotated[dict[str, Number], BeforeValidator(_flat)] = {}
+    recording: RecordingTable | None = None
+    fit: FitTable | None = None
+    simulate: SimulateTable | None = None
+    numerics: NumericsTable = NumericsTable()
+
+
+_TABLES = {
+    (): StudyTable,
+    ("recording",): RecordingTable,
+    ("fit",): FitTable,
+    ("fit", "free"): FreeTable,
+    ("fit", "known"): KnownTable,
+    ("simulate",): SimulateTable,
+    ("numerics",): NumericsTable,
+}
+
+
+def _one_line(error: ValidationError) -> str:
+    """One of the things that are wrong, with its place; an unknown key is likely to explain the others."""
+    errors = error.errors()
+    first = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])
+    place = [str(word) for word in first["loc"]]
+    if first["type"] in ("extra_forbidden", "missing"):
+        *table, key = place
+        where = f"{'.'.join(table)}: " if table else ""
+        if first["type"] == "missing":
+            return f"{where}{key!r} is missing"
+        keys = _TABLES[tuple(word for word in table if not word.isdigit())].model_fields
+        return f"{where}unknown key {key!r}, {suggest(key, keys)}"
+    return f"{'.'.join(place)}: {first['msg'][0].lower()}{first['msg'][1:]}, got {first['input']!r}"
+
+
+def check_layout(content: dict) -> StudyTable:
+    """The tables of a study. Raises StudyError, in one line, for an unknown or missing key or a wrong type."""
+    try:
+        return StudyTable.model_validate(content)
+    except ValidationError as error:
+        raise StudyError(_one_line(error)) from error

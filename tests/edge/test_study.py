@@ -1,0 +1,179 @@
+"""Study files: quantities arrive in SI, and every mistake is one line that names file, place and remedy."""
+
+import numpy as np
+import pytest
+from studies import write_study
+
+from jaxlines import FlowSource, Line, PressureSensor, Step
+from jaxlines.edge.building import StudyError
+from jaxlines.edge.study import load_study
+from jaxlines.inference.parameters import Free, Known
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    return load_study(write_study(tmp_path_factory.mktemp("study")))
+
+
+def test_circuit_in_si(study):
+    line = study.circuit.components["line"]
+    assert isinstance(line, Line)
+    assert float(line.parts[0].inner_diameter) == pytest.approx(0.04285)
+    assert float(line.parts[0].poissons_ratio) == 0.25
+    assert float(line.parts[1].volume) == pytest.approx(5e-4)
+    assert float(line.path_length) == pytest.approx(20.83)
+    assert float(study.circuit["fluid.air_fraction"]) == pytest.approx(0.005)
+    assert float(study.circuit["fluid.bulk_modulus"]) == pytest.approx(1.5e9)
+    assert float(study.circuit["leak.conductance"]) == pytest.approx(1e-15)
+    assert isinstance(study.circuit.components["valve"], FlowSource)
+    assert isinstance(study.circuit.components["gauge"], PressureSensor)
+    assert list(study.circuit.external_inputs()) == ["flow"]
+
+
+def test_recording_initial_values_and_noise(study):
+    assert study.title == "Control line, bench test"
+    assert study.initial == {"A.pressure": pytest.approx(2e5 + 101325.0)}
+    assert study.noise == {"A.pressure": pytest.approx(1e4)}
+    assert study.recording.channels["A.pressure"][0] == pytest.approx(3e5, rel=0.2)
+    assert study.recording.channels["flow"][100] == pytest.approx(1e-4, rel=1e-3)
+    assert study.recording.warnings == ()
+
+
+def test_free_and_known(study):
+    assert study.free == (
+        Free("fluid.bulk_modulus", (0.6e9, 2.5e9), 2.2e9, "log"),
+        Free("initial.A.pressure", (1e5, 5e5)),
+    )
+    assert study.known == (Known("line.parts.0.length", 0.05),)
+    assert study.fit_options == {"derived": ["line.effective_bulk_modulus"], "starts": 1, "seed": 0}
+
+
+def test_simulate_table(study):
+    np.testing.assert_allclose(study.times, np.linspace(0.0, 2.0, 50))
+    flow = study.inputs["flow"]
+    assert isinstance(flow, Step)
+    assert (float(flow.before), float(flow.after), float(flow.time)) == pytest.approx((0.0, 10 / 6e4, 0.5))
+    assert study.outputs == ("A.pressure", "gauge")
+
+
+def test_atmosphere_of_the_fluid_counts_for_gauge_pressures(tmp_path):
+    change = ('air_fraction = "0.5 %"', 'atmospheric_pressure = "0.9 bar_a"')
+    study = load_study(write_study(tmp_path, change))
+    assert study.initial["A.pressure"] == pytest.approx(2.9e5)
+    plain = load_study(write_study(tmp_path))
+    shift = plain.recording.channels["A.pressure"] - study.recording.channels["A.pressure"]
+    np.testing.assert_allclose(shift, 101325.0 - 0.9e5)
+
+
+def test_channel_of_a_gauge_sensor_stays_gauge(tmp_path):
+    swap = ('channels = { "A.pressure" = "p_line', 'channels = { "gauge" = "p_line')
+    noise = ('noise = { "A.pressure" = "0.1 bar" }', "")
+    sensor = load_study(write_study(tmp_path, swap, noise)).recording.channels["gauge"]
+    node = load_study(write_study(tmp_path)).recording.channels["A.pressure"]
+    np.testing.assert_allclose(node - sensor, 101325.0)
+
+
+def test_dotted_keys_without_quotes_sines_amplitudes_and_measured_start(tmp_path):
+    text = 'flow = { step = { before = "0 L/min", after = "10 L/min", time = "500 ms" } }'
+    sine = 'flow = { sine = { mean = "3 L/min", amplitude = "6 L/min", frequency = "2 Hz", phase = "90 deg" } }'
+    changes = ((text, sine), ('"A.pressure" = "2 bar_g"\n', 'A.pressure = "measured"\n'))
+    study = load_study(write_study(tmp_path, *changes))
+    assert float(study.inputs["flow"].amplitude) == pytest.approx(1e-4)
+    assert float(study.inputs["flow"].phase) == pytest.approx(np.pi / 2)
+    assert study.initial == {"A.pressure": "measured"}
+    pressure = ('[circuit.reservoir]\ntype = "Tank"', '[circuit.reservoir]\ntype = "PressureSource"\n'
+                'pressure = { sine = { mean = "2 bar_g", amplitude = "1 bar", frequency = "1 Hz" } }')  # fmt: skip
+    source = load_study(write_study(tmp_path, pressure)).circuit.components["reservoir"].pressure
+    assert (float(source.mean), float(source.amplitude)) == pytest.approx((301325.0, 1e5))
+
+
+PIPE = 'type = "Pipe", length = "20.83 m"'
+MISTAKES = [
+    ((PIPE, 'type = "Pipe", lenght = "20.83 m"'), "circuit.line.parts.0: unknown key 'lenght', did you mean 'length'?"),
+    ((PIPE, 'type = "Pipe"'), "circuit.line.parts.0: 'length' is missing (Pipe)"),
+    ((PIPE, 'type = "Pip", length = "20.83 m"'), "circuit.line.parts.0: unknown type 'Pip', did you mean 'Pipe'?"),
+    ((PIPE, 'length = "20.83 m"'), "circuit.line.parts.0: 'type' is missing; known: "),
+    ((PIPE, 'type = "Pipe", length = 20.83'), "circuit.line.parts.0.length: 20.83 has no unit: write it as a text"),
+    ((PIPE, 'type = "Pipe", length = "20,83 m"'), "circuit.line.parts.0.length: '20,83 m' is no number with a unit"),
+    ((PIPE, 'type = "Pipe", length = "20.83 kg"'), "parts.0.length: unit 'kg' does not measure what is asked for"),
+    (("60.32 mm", "60.32 m"), "circuit.line.parts.0: outer_diameter must be 0.0001..25 m, got 60.32 m: was it"),
+    (("60.32 mm", "40 mm"), "circuit.line.parts.0: outer_diameter must be larger than inner_diameter"),
+    (('type = "LaminarLeak"', 'type = "Leak"'), "circuit.leak: unknown type 'Leak', "),
+    (('a = "A"\n', ""), "circuit.leak: 'a' is missing (LaminarLeak)"),
+    (('a = "A"', "a = 3"), "circuit.leak.a: expected the name of a node, got 3"),
+    (('{ input = "flow" }', '{ inputt = "flow" }'), "circuit.valve.flow: expected a number, { input = "),
+    (('{ input = "flow" }', '{ step = { before = "0 L/min" } }'), "circuit.valve.flow.step: 'after' is missing (Step)"),
+    (('{ input = "flow" }', "{ input = 3 }"), "circuit.valve.flow.input: expected the name of an input, got 3"),
+    (('reference = "gauge"', 'reference = "guage"'), 'circuit.gauge: reference must be "absolute" or "gauge"'),
+    (('[circuit.reservoir]', '[circuit.tank]'), "circuit: 'tank' is both a node and a component"),
+    (('type = "FlowSource"\nnode = "A"', 'type = "FlowSource"\nnode = "B"'), "circuit: hydraulic node 'B' has no cap"),
+    (('density = "850 kg/m^3"\n', ""), "fluid: 'density' is missing (Oil)"),
+    (('"1.5 GPa"', '"1.5 GPa_a"'), "fluid.bulk_modulus: unit 'GPa_a': this is a difference or a stiffness"),
+    (('"1.5 GPa"', '"1.5 MPa"'), "fluid: bulk_modulus must be 1e+08..1e+11 Pa, got 1.5e+06 Pa"),
+    (('air_fraction = "0.5 %"', 'atmospheric_pressure = "1 bar_g"'), "fluid.atmospheric_pressure: '1 bar_g' must be"),
+    (('"2 bar_g"', '"2 bar"'), "initial.A.pressure: 'bar' does not say from where it counts: write bar_a"),
+    (('"A.pressure" = "2 bar_g"', '"B.pressure" = "2 bar_g"'), "initial: no state is called 'B.pressure', did"),
+    (('"A.pressure" = "2 bar_g"', '"A.pressure" = "2 bar_g"\n"tank.pressure" = "1 bar_a"'), "initial: no state is"),
+    (('file = "line.csv"', 'file = "lin.csv"'), "lin.csv: no such file"),
+    (('file = "line.csv"\n', ""), "recording: 'file' is missing"),
+    (('file = "line.csv"', "file = 3"), "recording.file: input should be a valid string, got 3"),
+    (('flow = "q_valve [L/min]" }', 'flow = "q_valve [bar_g]" }'), "no column 'q_valve [bar_g]'; the file has"),
+    (('"q_valve [L/min]" }', '["q_valve [L/min]", "bar_g"] }'), "unit 'bar_g' does not measure what is asked for"),
+    (('flow = "q_valve', 'flo = "q_valve'), "no output or input is called 'flo', did you mean 'flow'?"),
+    (('"0.1 bar"', '"0.1 bar_g"'), "noise.A.pressure: unit 'bar_g': this is a difference"),
+    (('path = "fluid.bulk_modulus"', 'path = "fluid.bulk_modulos"'), "fit.free.0: no number is called 'fluid.bulk_m"),
+    (('path = "initial.A.pressure"', 'path = "initial.C.pressure"'), "fit.free.1: no initial value is called 'C.pres"),
+    (('bounds = ["0.6 GPa", "2.5 GPa"]\n', ""), "fit.free.0: 'bounds' is missing"),
+    (('["0.6 GPa", "2.5 GPa"]', '["2.5 GPa", "0.6 GPa"]'), "fit.free.0: fluid.bulk_modulus: bounds must be finite and"),
+    (('["0.6 GPa", "2.5 GPa"]', '["0.6 GPa"]'), "fit.free.0.bounds: list should have at least 2 items"),
+    (('["1 bar_a", "5 bar_a"]', '["1 bar", "5 bar"]'), "fit.free.1.bounds: 'bar' does not say from where it counts"),
+    (('start = "2.2 GPa"', 'start = "22 GPa"'), "fit.free.0: fluid.bulk_modulus: start 2.2e+10 is outside its bounds"),
+    (('transform = "log"', 'transform = "ln"'), "fit.free.0.transform: input should be 'identity', 'log' or 'logit'"),
+    (('path = "fluid.bulk_modulus"', 'path = ["fluid.bulk_modulus", "fluid.density"]'), "have different units"),
+    (('sd = "0.05 m"', 'sd = "-5 cm"'), "fit.known.0: line.parts.0.length: the standard uncertainty must be positive"),
+    (("[fit]\n", "[fit]\nstart = 3\n"), "fit: unknown key 'start', did you mean 'starts'?"),
+    (("[fit]\n", "[fit]\nstarts = 0\n"), "fit.starts: input should be greater than or equal to 1, got 0"),
+    (('stop = "2 s"', 'stop = "-2 s"'), "simulate: stop must be after start, got 0 s and -2 s"),
+    (('stop = "2 s"', 'stop = "2 m"'), "simulate.stop: unit 'm' does not measure what is asked for"),
+    (('"gauge"]', '"gage"]'), "simulate.outputs: no output is called 'gage', did you mean 'gauge'?"),
+    (("flow = { step", "flwo = { step"), "simulate.inputs: no input is called 'flwo', did you mean 'flow'?"),
+    (('"10 L/min"', '"10 bar"'), "simulate.inputs.flow.step.after: unit 'bar' does not measure"),
+    (("[simulate]", "[simulat]"), "unknown key 'simulat', did you mean 'simulate'?"),
+    (("[fluid]", "[fluid"), "not valid TOML: "),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "message"), MISTAKES, ids=[message[:50] for _, message in MISTAKES])
+def test_mistakes_are_one_line_with_place_and_remedy(tmp_path, change, message):
+    path = write_study(tmp_path, change)
+    with pytest.raises(StudyError) as caught:
+        load_study(path)
+    text = str(caught.value)
+    assert text.startswith(f"{path}: ")
+    assert message in text
+    assert "\n" not in text
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [("nowhere/study.toml", "nowhere/study.toml: no such file"), ("example:none", "example:none: no such example")],
+)
+def test_studies_that_are_not_there(source, message):
+    with pytest.raises(StudyError, match=message):
+        load_study(source)
+
+
+def test_a_folder_is_no_study(tmp_path):
+    with pytest.raises(StudyError, match="is a folder"):
+        load_study(tmp_path)
+
+
+def test_nothing_to_fit_or_to_simulate(tmp_path):
+    path = write_study(tmp_path)
+    text = path.read_text()
+    path.write_text(text[: text.index("[recording]")])
+    study = load_study(path)
+    with pytest.raises(StudyError, match=r"add a table \[recording\]"):
+        study.fit()
+    with pytest.raises(StudyError, match=r"add a table \[simulate\]"):
+        study.simulate()
