@@ -91,6 +91,14 @@ class Truth:
         liquid = self.density_kg_per_m3 * np.exp((p - P_ATM) / self.liquid_modulus_Pa)
         return liquid / (1 + self.gas_per_liquid(p))
 
+    def leak_conductance(self, p):
+        """Conductance of the leak by volume at line pressure ``p``, m3/(s Pa).
+
+        In a laminar gap the mass flow is the conductance times the integral of the density over the
+        pressures along it, to second order the density at their mean.
+        """
+        return self.leak_m3_per_s_Pa * self.mixture_density((p + P_ATM) / 2) / self.mixture_density(p)
+
     def effective_modulus(self, p):
         """Modulus of liquid, gas and wall together, Pa."""
         share = 1 - 1 / (1 + self.gas_per_liquid(p))
@@ -109,7 +117,7 @@ def valve_flow(t):
     return L_PER_MIN * sum(pulses)
 
 
-def simulate(truth, flow, p_init, leak, duration, reaches=16, psi=0.55):
+def simulate(truth, flow, p_init, duration, leaking=True, reaches=16, psi=0.55):
     """March the characteristics; return times, node pressures (time, node) and node lengths."""
     dx = truth.length_m / reaches
     rho, k_wall = truth.density_kg_per_m3, truth.wall_modulus
@@ -124,13 +132,15 @@ def simulate(truth, flow, p_init, leak, duration, reaches=16, psi=0.55):
     lengths[[0, -1]] = dx / 2
     volume = bore * lengths
     slope = np.full(reaches + 1, 2 / z_new)  # net inflow of a node = supply - slope * p
-    slope[[0, -1]] = 1 / z_new, 1 / z_new + leak
+    slope[0] = 1 / z_new
 
     p = np.full(reaches + 1, float(p_init))
     q_up, q_down = np.zeros(reaches + 1), np.zeros(reaches + 1)  # flow on either side of a node
     pressures = np.empty((times.size, reaches + 1))
     pressures[0] = p
     for k in range(1, times.size):
+        leak = truth.leak_conductance(p[-1]) if leaking else 0.0  # changes slowly: taken one step late
+        slope[-1] = 1 / z_new + leak
         plus = p[:-1] + z_old * q_down[:-1]  # C+ arriving at nodes 1 to N
         minus = p[1:] - z_old * q_up[1:]  # C- arriving at nodes 0 to N-1
         supply = np.zeros(reaches + 1)
@@ -165,9 +175,9 @@ def mass_balance_error(truth, times, pressures, lengths):
     """Largest gap between mass stored and mass fed in, relative to the largest mass stored."""
     bore = truth.area * np.exp((pressures - P_ATM) / truth.wall_modulus)
     stored = np.sum(truth.mixture_density(pressures) * bore * lengths, axis=1)
-    leaking = truth.leak_m3_per_s_Pa * (pressures[:, -1] - P_ATM)
+    end = pressures[:, -1]
     rate = truth.mixture_density(pressures[:, 0]) * valve_flow(times)
-    rate = rate - truth.mixture_density(pressures[:, -1]) * leaking
+    rate = rate - truth.mixture_density(end) * truth.leak_conductance(end) * (end - P_ATM)
     fed = np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(times))])
     gained = stored - stored[0]
     return float(np.max(np.abs(gained - fed)) / np.max(gained))
@@ -182,7 +192,7 @@ def wave_speed_error(truth, p_base):
         """One period of flow in and out again, so that the mean pressure returns."""
         return 1e-6 * np.where(t < period, np.sin(2 * np.pi * t / period), 0.0)
 
-    times, pressures, _ = simulate(truth, kick, p_base, 0.0, 12 * period)
+    times, pressures, _ = simulate(truth, kick, p_base, 12 * period, leaking=False)
     late = times > 2 * period
     times, tone = times[late], (pressures[:, 0] - pressures[:, -1])[late]
     up = np.flatnonzero((tone[:-1] < 0) & (tone[1:] >= 0))
@@ -200,13 +210,10 @@ def sample(times, pressures):
 def sense(p, q):
     """Add white noise and round to the steps of the converters."""
     rng = np.random.default_rng(SEED)
-    sensed = []
-    for name, value in (("pressure", p), ("flow", q)):
-        noise = next(v for k, v in SENSORS.items() if k.startswith(f"{name}_noise"))
-        step = next(v for k, v in SENSORS.items() if k.startswith(f"{name}_step"))
-        noisy = value + noise * rng.standard_normal(value.size)
-        sensed.append(step * np.round(noisy / step))
-    return sensed
+    p = p + SENSORS["pressure_noise_sd_bar"] * rng.standard_normal(p.size)
+    q = q + SENSORS["flow_noise_sd_L_per_min"] * rng.standard_normal(q.size)
+    p_step, q_step = SENSORS["pressure_step_bar"], SENSORS["flow_step_L_per_min"]
+    return p_step * np.round(p / p_step), q_step * np.round(q / q_step)
 
 
 def write(out, truth, t, p, q, noise_free):
@@ -214,7 +221,7 @@ def write(out, truth, t, p, q, noise_free):
     form = "{:.2f},{:.8f},{:.8f}\n" if noise_free else "{:.2f},{:.4f},{:.5f}\n"
     rows = [form.format(*row) for row in zip(t, p + 0.0, q + 0.0, strict=True)]
     text = "t [s],p_line [bar_g],q_valve [L/min]\n" + "".join(rows)
-    (out / "control_line.csv").write_text(text, encoding="utf-8", newline="\n")
+    (out / "control-line.csv").write_text(text, encoding="utf-8", newline="\n")
     facts = {
         "description": "Synthetic: distributed line with entrained air (method of characteristics,"
         " gas cavities at the nodes), valve flow in at one end, laminar leak to a tank at"
@@ -228,7 +235,7 @@ def write(out, truth, t, p, q, noise_free):
         "sample_rate_Hz": RATE,
         "seed": SEED,
     }
-    save_json(out / "control_line_truth.json", facts)
+    save_json(out / "control-line-truth.json", facts)
     return len(text)
 
 
@@ -244,7 +251,7 @@ def main():
     args.out.mkdir(parents=True, exist_ok=True)
 
     truth = Truth()
-    case = (truth, valve_flow, truth.initial_pressure_Pa_abs, truth.leak_m3_per_s_Pa, DURATION)
+    case = (truth, valve_flow, truth.initial_pressure_Pa_abs, DURATION)
     times, pressures, lengths = simulate(*case)
     t, p, q = sample(times, pressures)
     finer = sample(*simulate(*case, reaches=32)[:2])[1]
@@ -258,9 +265,7 @@ def main():
         "bytes": size,
         "lowest_and_highest_bar_gauge": [float(np.min(p)), float(np.max(p))],
         "lowest_recorded_bar_gauge": float(np.min(recorded[0])),
-        "largest_pressure_difference_along_line_bar": float(
-            np.max(np.ptp(pressures, axis=1)) / BAR
-        ),
+        "largest_pressure_difference_along_line_bar": float(np.max(np.ptp(pressures, axis=1)) / BAR),
         "mass_balance_error": mass_balance_error(truth, times, pressures, lengths),
         "wave_speed_error": waves,
         "change_with_twice_the_reaches_bar": float(np.max(np.abs(finer - p))),

@@ -42,7 +42,7 @@ def _with_sd(problem: Problem, found: Found, analysis: Analysis, function) -> tu
         changes = {}
         for number, parameter in zip(numbers, parameters, strict=True):
             for path in getattr(parameter, "paths", None) or (parameter.path,):
-                if not path.startswith("initial."):
+                if path.partition(".")[0] in ("fluid", *problem.circuit.components):
                     changes[path] = number
         return np.asarray(function(problem.circuit.replace(changes, check=False)))
 

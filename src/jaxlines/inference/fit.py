@@ -115,6 +115,7 @@ def fit(
     tolerance: float = 1e-7,
     max_steps: int = 100_000,
     precision: str = "float64",
+    interpolation: str = "linear",
     progress: Progress | None = None,
 ) -> Fit:
     """Fit a circuit to a recording by bounded nonlinear least squares with an exact Jacobian.
@@ -132,6 +133,7 @@ def fit(
         derived: numbers to report with uncertainty, such as "line.effective_bulk_modulus" (at the median pressure).
         starts: number of searches: the given start, then points of a Sobol sequence (`seed`) within the bounds.
         solver, tolerance, max_steps, precision: as in `simulate`.
+        interpolation: between samples of the input channels: "linear", "cubic" or "hold".
         progress: called with a text and a fraction done while the fit works.
 
     Returns: a `Fit`; print it. Failure to fit is a status, not an exception.
@@ -144,7 +146,9 @@ def fit(
     initial, measured = _measured_starts(circuit, recording, free, initial or {})
     method = make_method(solver, "forward", max_steps)
     say("compiling the model", 0.0)
-    problem = make_problem(circuit, recording, free, [*known, *measured], initial, method, tolerance, precision)
+    problem = make_problem(
+        circuit, recording, free, [*known, *measured], initial, method, tolerance, precision, interpolation
+    )
     noise = dict(noise or {})
     _check_noise(problem, noise)
     try:
@@ -171,12 +175,12 @@ def _with_measured_noise(problem: Problem, measured: list[Known], sigma: np.ndar
 
 def _result(problem: Problem, best: Found, sigma, analysis: Analysis, derived, remarks, count, began, noise) -> Fit:
     """Put the result together."""
-    fitted, initial = problem.with_numbers(best.values)
+    fitted, initial, inputs = problem.with_numbers(best.values)
     channels = channel_fits(problem, best, sigma)
     simulation = simulate(
         fitted,
         problem.recording.times,
-        problem.inputs,
+        inputs,
         initial=initial,
         solver=problem.method.solver,
         tolerance=problem.tolerance,

@@ -14,7 +14,7 @@ from jaxlines.physics.fields import AbstractSignal
 from jaxlines.simulation.assembly import Plan, Values, compile_circuit, number_locations, set_numbers
 from jaxlines.simulation.circuit import Circuit, field_metadata
 from jaxlines.simulation.observation import quantities, sensor_units
-from jaxlines.simulation.paths import resolve
+from jaxlines.simulation.paths import replace_leaves, resolve
 from jaxlines.simulation.precision import cast, computing_in
 from jaxlines.simulation.result import STATUS
 from jaxlines.simulation.signals import Sampled
@@ -120,16 +120,19 @@ class Problem:
         array = np.asarray(array[: self.recording.times.size], dtype=np.float64)
         return array if status in (STATUS["ok"], STATUS["tension"]) else np.full_like(array, np.nan)
 
-    def with_numbers(self, free_values) -> tuple[Circuit, dict]:
-        """The circuit and the initial values with these numbers."""
-        changes, initial = {}, dict(self.initial)
+    def with_numbers(self, free_values) -> tuple[Circuit, dict, dict]:
+        """The circuit, the initial values and the inputs with these numbers."""
+        in_circuit, in_inputs, initial = {}, {}, dict(self.initial)
         for parameter, value in zip(self.free, free_values, strict=True):
             for path in parameter.paths:
-                if path.startswith("initial."):
-                    initial[path.removeprefix("initial.")] = float(value)
+                owner, _, rest = path.partition(".")
+                if owner == "initial":
+                    initial[rest] = float(value)
+                elif owner in self.inputs:
+                    in_inputs[path] = np.asarray(value, dtype=float)
                 else:
-                    changes[path] = float(value)
-        return self.circuit.replace(changes), initial
+                    in_circuit[path] = float(value)
+        return self.circuit.replace(in_circuit), initial, replace_leaves(self.inputs, in_inputs)
 
 
 def _split_channels(circuit: Circuit, plan: Plan, recording: Recording) -> tuple[list[str], dict[str, str]]:
@@ -151,7 +154,7 @@ def _split_channels(circuit: Circuit, plan: Plan, recording: Recording) -> tuple
     return fitted, units
 
 
-def _recorded_inputs(circuit: Circuit, recording: Recording) -> dict[str, Sampled]:
+def _recorded_inputs(circuit: Circuit, recording: Recording, interpolation: str) -> dict[str, Sampled]:
     """The channels that drive the circuit, as signals; missing samples are refused."""
     signals = {}
     for name in circuit.external_inputs():
@@ -166,7 +169,7 @@ def _recorded_inputs(circuit: Circuit, recording: Recording) -> dict[str, Sample
                 f"{recording.name}: input channel {name!r} has {int((~good).sum())} missing samples, the first at "
                 f"{at:g} s: an input must be complete (fill it, or choose a window without the gap)"
             )
-        signals[name] = Sampled(recording.times, values)
+        signals[name] = Sampled(recording.times, values, interpolation)
     return signals
 
 
@@ -197,17 +200,20 @@ def _check_parameters(circuit: Circuit, free, known, locations) -> tuple[tuple[F
 
 def number_metadata(circuit: Circuit, path: str) -> dict:
     """Unit and range of a number or an initial value; empty where none is declared."""
-    if not path.startswith("initial."):
+    owner = path.partition(".")[0]
+    if owner == "fluid" or owner in circuit.components:
         return field_metadata(circuit, path)
-    if path.endswith(".pressure"):
+    if owner == "initial" and path.endswith(".pressure"):
         return {"unit": "Pa", "low": 0.0, "high": 1e9, "slip": "pressures are absolute and in Pa"}
     return {}
 
 
-def make_problem(circuit, recording, free, known, initial, method, tolerance, precision) -> Problem:
+def make_problem(
+    circuit, recording, free, known, initial, method, tolerance, precision, interpolation="linear"
+) -> Problem:
     """Check a fit's arguments and compile them into a problem. Raises as `fit` documents."""
     with computing_in(precision):
-        signals = bind_inputs(circuit, _recorded_inputs(circuit, recording), recording.times)
+        signals = bind_inputs(circuit, _recorded_inputs(circuit, recording, interpolation), recording.times)
         padded = {name: signal.padded(bucket(recording.times.size)) for name, signal in signals.items()}
         plan, values = compile_circuit(circuit, initial, padded)
         fitted, units = _split_channels(circuit, plan, recording)

@@ -12,6 +12,15 @@ def leaf_paths(tree) -> list[str]:
     return [jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in keyed]
 
 
+def replace_leaves(tree, changes: dict):
+    """A copy of a tree with other leaves at some full paths."""
+    positions = {path: position for position, path in enumerate(leaf_paths(tree))}
+    leaves, structure = jax.tree.flatten(tree)
+    for path, value in changes.items():
+        leaves[positions[path]] = value
+    return jax.tree.unflatten(structure, leaves)
+
+
 def resolve(name: str, known: Iterable[str], what: str = "number") -> str:
     """The one known path that a name means.
 

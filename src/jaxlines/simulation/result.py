@@ -44,7 +44,7 @@ class Simulation(eqx.Module):
 
     @property
     def status(self) -> str:
-        """"ok", or the kind of failure: "max_steps", "solver_failed", "non_finite", "tension"."""
+        """ "ok", or the kind of failure: "max_steps", "solver_failed", "non_finite", "tension"."""
         return list(MESSAGES)[int(self.status_code)]
 
     def raise_if_failed(self) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxlines.physics.fields import AbstractSignal, Number, as_number, is_concrete, quantity
 
-METHODS = ("linear", "hold")
+METHODS = ("linear", "cubic", "hold")
 
 
 class Constant(AbstractSignal):
@@ -45,20 +45,24 @@ class Sine(AbstractSignal):
 
 
 class Sampled(AbstractSignal):
-    """Samples of a recording, joined by straight lines or held until the next; ends are held.
+    """Samples of a recording, interpolated between them and held beyond the ends.
 
-    Args: times [s], strictly increasing, shape (samples,); values, shape (samples,), finite;
-        method: "linear" (default) or "hold" (the value jumps at each sample, known to the controller).
+    Args: times [s], strictly increasing, shape (samples,); values, shape (samples,), finite; method: "linear"
+        (default), "cubic" (monotone cubic, smooth, no overshoot) or "hold" (jumps at each sample); delay [s]: the
+        signal is value(t - delay), which can be fitted (use "cubic": its slope has no jumps).
     Raises: ValueError when shapes differ, times do not increase or a value is not finite.
+    Reference: Fritsch and Butland, "A method for constructing local monotone piecewise cubic interpolants",
+    SIAM J. Sci. Stat. Comput. 5, 1984 (slopes of equally weighted neighbours).
     """
 
     times: Number = eqx.field(converter=as_number)
     values: Number = eqx.field(converter=as_number)
     method: str = eqx.field(static=True, default="linear")
+    delay: Number = quantity("s", low=-1e6, high=1e6, slip="was it given in ms?", default=0.0)
 
     def __check_init__(self):
         if self.method not in METHODS:
-            raise ValueError(f'method must be "linear" or "hold", got {self.method!r}')
+            raise ValueError(f"method must be one of {', '.join(METHODS)}, got {self.method!r}")
         if self.times.shape != self.values.shape or self.times.ndim != 1 or self.times.size < 2:
             raise ValueError(
                 "a sampled signal needs two or more times and as many values, got shapes "
@@ -72,20 +76,24 @@ class Sampled(AbstractSignal):
             raise ValueError(f"values of a sampled signal must be finite; sample {at} is {self.values[at]}")
 
     def __call__(self, t):
-        times, values = jnp.asarray(self.times), jnp.asarray(self.values)
-        # An equally spaced guess corrected by neighbours would be faster still; a full comparison is one
-        # vectorised pass, where a binary search is a loop of tiny operations on XLA's CPU backend.
+        times, values, t = jnp.asarray(self.times), jnp.asarray(self.values), t - self.delay
+        # A full comparison is one vectorised pass; a binary search is a loop of tiny operations on XLA's CPU.
         index = jnp.clip(jnp.sum(times <= t) - 1, 0, times.size - 2)
         if self.method == "hold":
             return jnp.where(t >= times[-1], values[-1], values[index])
-        share = (t - times[index]) / (times[index + 1] - times[index])
-        return values[index] + jnp.clip(share, 0.0, 1.0) * (values[index + 1] - values[index])
+        width, rise = times[index + 1] - times[index], values[index + 1] - values[index]
+        share = jnp.clip((t - times[index]) / width, 0.0, 1.0)
+        if self.method == "linear":
+            return values[index] + share * rise
+        first, last = (_monotone_slope(times, values, i) * width for i in (index, index + 1))
+        bend = share * (1.0 - share) * ((1.0 - share) * (first - rise) + share * (rise - last))
+        return values[index] + share * rise + bend
 
     def jump_times(self):
-        return self.times if self.method == "hold" else np.zeros(0)
+        return self.times + self.delay if self.method == "hold" else np.zeros(0)
 
     def knot_times(self):
-        return self.times if self.method == "linear" else np.zeros(0)
+        return np.zeros(0) if self.method == "hold" else self.times + self.delay
 
     def padded(self, size: int) -> "Sampled":
         """The same signal with its last value held to `size` samples, so that lengths share a program."""
@@ -93,9 +101,19 @@ class Sampled(AbstractSignal):
         if extra <= 0:
             return self
         step = self.times[-1] - self.times[-2]
-        more_times = self.times[-1] + step * np.arange(1, extra + 1)
-        times = np.concatenate([self.times, more_times])
-        return Sampled(times, np.concatenate([self.values, np.full(extra, self.values[-1])]), self.method)
+        times = np.concatenate([self.times, self.times[-1] + step * np.arange(1, extra + 1)])
+        values = np.concatenate([self.values, np.full(extra, self.values[-1])])
+        return Sampled(times, values, self.method, self.delay)
+
+
+def _monotone_slope(times, values, index):
+    """Slope at a sample: harmonic mean of the neighbouring secants, zero at extremes and at the ends."""
+    left, right = jnp.clip(index - 1, 0, times.size - 1), jnp.clip(index + 1, 0, times.size - 1)
+    before = (values[index] - values[left]) / jnp.where(index > left, times[index] - times[left], 1.0)
+    after = (values[right] - values[index]) / jnp.where(right > index, times[right] - times[index], 1.0)
+    product = before * after
+    safe = jnp.where(product > 0, before + after, 1.0)
+    return jnp.where(product > 0, 2.0 * product / safe, 0.0)
 
 
 def as_signal(value, times) -> AbstractSignal:
