@@ -1,0 +1,204 @@
+"""Every component: exact derivatives everywhere, conservation of mass, elementwise evaluation."""
+
+import inspect
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+
+import jaxlines as jl
+from jaxlines.physics.component import AbstractComponent, Situation
+from jaxlines.physics.fields import driven_of, ports_of
+from jaxlines.physics.resistances import orifice_flow, regularised_root
+
+PARTS = {
+    "pressure source": jl.PressureSource("a", 2e7),
+    "tank": jl.Tank("a"),
+    "flow source": jl.FlowSource("a", 1e-4),
+    "line": jl.Line("a", [jl.Pipe(12.8, 0.04285, 0.06032), jl.Vessel(3e-3, 4e9), jl.Vessel(1e-3, 1e9)], 20.0),
+    "leak": jl.LaminarLeak("a", "b", 5e-12),
+    "orifice": jl.Orifice("a", "b", 5e-6),
+    "inertia of fluid": jl.FluidInertia("a", "b", 1e7, 1e6, 1e10),
+    "servovalve": jl.Servovalve("s", "t", "a", "b", 0.3, 1e-3),
+    "motor": jl.Motor("a", "b", "c", "shaft", 1e-4, 5e-12, 2e-12, 2.0, 0.03, 5.0),
+    "inertia": jl.Inertia("shaft", 40.0),
+    "load": jl.LoadTorque("shaft", 100.0),
+    "brake": jl.Brake("shaft", "a", 500.0),
+    "supercharge": jl.Supercharge("s", "l"),
+}
+OILS = {
+    "with air": jl.Oil(1.4e9, 850.0, 30e-6, 0.01, 1.2, 6.0),
+    "without air": jl.Oil(1.4e9, 850.0, 30e-6, 0.0, 1.2, 0.0),
+    "article": jl.Oil(1.4e9, 850.0, 30e-6, 0.01, 1.2, 6.0, mass="article"),
+}
+# Pressures at up to four hydraulic ports [Pa], speed [rad/s], states as shares of their typical size.
+POINTS = {
+    "generic": ((9e6, 5e6, 4e6, 1e6), 3.0, 0.4),
+    "reversed": ((1e6, 6e6, 3e6, 8e6), -2.0, -0.7),
+    "equal pressures at rest": ((5e6,) * 4, 0.0, 0.0),
+    "almost equal": ((5e6, 5e6 + 300.0, 5e6 - 200.0, 5e6), 0.01, 1e-3),
+    "saturated": ((2e7, 1e5, 1.9e7, 2e5), 30.0, 1.3),
+    "near vacuum": ((2e4, 3e4, 1e4, 5e3), -0.05, -0.02),
+}
+
+
+def situation(part, oil, point) -> Situation:
+    """What a component sees at a point; states and speed in their places."""
+    pressures, speed, share = POINTS[point]
+    hydraulic = [name for name, domain in ports_of(part).items() if domain == "hydraulic"]
+    potential = {name: jnp.asarray(p) for name, p in zip(hydraulic, pressures, strict=False)}
+    potential |= {name: jnp.asarray(speed) for name in ports_of(part) if name not in hydraulic}
+    state = {s.name: jnp.asarray(share * s.scale) for s in part.states}
+    return Situation(oil, potential, state, {name: getattr(part, name) for name in driven_of(part)})
+
+
+def results(part, at: Situation):
+    """All flows, capacities and rates in one vector."""
+    done = part.evaluate(at)
+    return jnp.stack([jnp.asarray(v) for room in done for v in room.values()]) if any(done) else jnp.zeros(0)
+
+
+def sizes(part, at: Situation):
+    """By how much each number of component and situation is varied: its size, where that is zero a typical one."""
+    own = jax.tree.map(lambda x: np.where(np.asarray(x) == 0.0, 1e-3, np.abs(x)), (part, at))
+    part, at = own
+    potential = {p: 1e4 if domain == "hydraulic" else 1e-2 for p, domain in ports_of(part).items()}
+    state = {s.name: 1e-3 * s.scale for s in part.states}
+    at = Situation(at.fluid, potential, state, at.given)
+    return jax.tree.map(lambda size: np.where(np.isinf(size), 1.0, np.asarray(size, float)), (part, at))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def float64():
+    with jax.enable_x64(True):
+        yield
+
+
+def differences(function, x, steps):
+    """Jacobian by central differences of fourth order, a column for each number."""
+    shifts = np.diag(steps)
+    values = {k: np.stack([function(x + k * shift) for shift in shifts]) for k in (-2, -1, 1, 2)}
+    return ((8 * (values[1] - values[-1]) - (values[2] - values[-2])) / (12 * steps[:, None])).T
+
+
+@pytest.mark.parametrize("oil", OILS)
+@pytest.mark.parametrize("name", PARTS)
+def test_jacobian_in_all_numbers_and_potentials(name, oil):
+    part = PARTS[name]
+    _, restore = ravel_pytree((part, situation(part, OILS[oil], "generic")))
+    function = jax.jit(lambda x: results(*restore(x)))
+    jacobian = jax.jit(jax.jacfwd(lambda x: results(*restore(x))))
+    largest = np.max([np.abs(results(part, situation(part, OILS[oil], point))) for point in POINTS], axis=0)
+    for point in POINTS:
+        at = situation(part, OILS[oil], point)
+        x, scale = np.asarray(ravel_pytree((part, at))[0]), np.asarray(ravel_pytree(sizes(part, at))[0])
+        exact = np.asarray(jacobian(x))
+        assert np.all(np.isfinite(exact)) and np.all(np.isfinite(function(x))), point
+        if exact.size:
+            error = np.abs(exact - differences(function, x, 1e-3 * scale)) * scale
+            allowed = 1e-6 * np.max(np.abs(exact) * scale, axis=1) + 1e-12 * largest  # the rest is rounding
+            allowed = np.broadcast_to(allowed[:, None], error.shape)
+            assert np.all(error <= allowed), f"{point}: {np.argwhere(error > allowed).tolist()}"
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_vmap_equals_loop(name):
+    part = PARTS[name]
+    seen = [situation(part, OILS["with air"], point) for point in POINTS]
+    batch = jax.tree.map(lambda *x: jnp.stack([jnp.asarray(v) for v in x]), *seen)
+    one_by_one = np.stack([results(part, at) for at in seen])
+    rounding = 1e-15 * np.max(np.abs(one_by_one), initial=1e-3)
+    np.testing.assert_allclose(jax.vmap(results, (None, 0))(part, batch), one_by_one, rtol=1e-13, atol=rounding)
+    if ports_of(part) and part.evaluate(seen[0]).flow:  # as arrays, without vmap
+        together = part.evaluate(batch).flow
+        for port, flow in together.items():
+            single = [part.evaluate(at).flow[port] for at in seen]
+            np.testing.assert_allclose(flow, single, rtol=1e-13, atol=rounding)
+
+
+@pytest.mark.parametrize("point", POINTS)
+@pytest.mark.parametrize("name", ["leak", "orifice", "inertia of fluid", "servovalve", "motor", "supercharge"])
+def test_mass_is_passed_on(name, point):
+    part = PARTS[name]
+    flow = part.evaluate(situation(part, OILS["with air"], point)).flow
+    masses = [float(flow[port]) for port, domain in ports_of(part).items() if domain == "hydraulic"]
+    assert len(masses) >= 2
+    assert abs(sum(masses)) <= 1e-14 * max(map(abs, masses), default=0.0) + 1e-18
+    if point == "generic":
+        assert max(map(abs, masses)) > 1e-9
+
+
+def test_every_component_is_tested_and_holds_arrays():
+    public = {c for c in vars(jl).values() if inspect.isclass(c) and issubclass(c, AbstractComponent)}
+    assert public == {type(part) for part in PARTS.values()}
+    for leaf in jax.tree.leaves((PARTS, OILS)):
+        assert isinstance(leaf, np.ndarray) and leaf.dtype == np.float64
+
+
+def test_regularised_root():
+    values = {0.001: 0.009975155, 0.01: 0.084089642, 0.1: 0.315442101, 1.0: 0.999975002}
+    for x, root in values.items():
+        assert float(regularised_root(x, 0.01)) == pytest.approx(root, abs=6e-10)
+        assert float(regularised_root(-x, 0.01)) == pytest.approx(-root, abs=6e-10)
+    assert float(jax.grad(regularised_root)(0.0, 0.01)) == pytest.approx(10.0, rel=1e-12)
+    # C_d 0.7, A 1 cm^2, rho 850, transition 0.3178266 Pa
+    assert float(orifice_flow(1e-4, 0.7, 850.0, 1e6, 0.0, 0.3178266)) == pytest.approx(3.39549875e-3, rel=1e-8)
+    assert float(orifice_flow(1e-4, 0.7, 850.0, 1e3, 0.0, 0.3178266)) == pytest.approx(1.07375096e-4, rel=1e-7)
+
+
+def test_rated_flow_of_the_servovalve():
+    """At full stroke and rated pressure drop, half of it over each land, the rated flow passes."""
+    valve = jl.Servovalve("s", "t", "a", "b", 0.0, rated_flow=1e-3, underlap=1e-6)
+    oil = jl.Oil(1.4e9, 850.0, mass="article")
+    potential = {"supply": 8e6, "a": 4.5e6, "b": 4.5e6, "tank": 1e6}
+    for spool, sign in ((1.0, 1.0), (-1.0, -1.0)):
+        flow = valve.evaluate(Situation(oil, potential, {"spool": spool, "spool_rate": 0.0}, {"command": 0.0})).flow
+        assert float(flow["a"]) / 850 == pytest.approx(sign * 1e-3, rel=1e-5)
+        assert float(flow["b"]) / 850 == pytest.approx(-sign * 1e-3, rel=1e-5)
+        assert float(flow["supply"]) / 850 == pytest.approx(-1e-3, rel=1e-5)
+
+
+def test_supercharge_opens_one_way():
+    check = jl.Supercharge("s", "l", conductance=1e-9, cracking_pressure=3e4)
+    oil = jl.Oil(1.4e9, 850.0, mass="article")
+
+    def flow(line):
+        return float(check.evaluate(Situation(oil, {"supply": 1e6, "line": line}, {}, {})).flow["line"]) / 850
+
+    assert flow(0.5e6) == pytest.approx(1e-9 * (5e5 - 3e4), rel=1e-9)
+    assert 0 <= flow(1.2e6) < 1e-20
+
+
+def test_brake_holds_until_released():
+    brake = jl.Brake("shaft", "a", holding_torque=500.0)
+
+    def torque(p, speed):
+        return float(brake.evaluate(Situation(OILS["article"], {"shaft": speed, "a": p}, {}, {})).flow["shaft"])
+
+    assert torque(1e5, 1.0) == pytest.approx(-500.0, rel=1e-6)
+    assert torque(1e5, -1.0) == pytest.approx(500.0, rel=1e-6)
+    assert torque(2e6, 1.0) == pytest.approx(-250.0)
+    assert abs(torque(5e6, 1.0)) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: jl.LaminarLeak("a", "b", 5.0), "conductance must be .* got 5 .*was it given in L/"),
+        (lambda: jl.Orifice("a", "b", 500.0), "area must be .* got 500 m.2: was it given in mm.2"),
+        (lambda: jl.Servovalve("s", "t", "a", "b", 50.0, 1e-3), "command must be .* got 50: was it given in percent"),
+        (lambda: jl.Servovalve("s", "t", "a", "b", 0.5, 40.0), "rated_flow must be .* got 40 m.*was it given in L/min"),
+        (lambda: jl.Motor("a", "b", "c", "d", 28.0), "displacement must be .* got 28 .*was it given in cm.3/rev"),
+        (lambda: jl.PressureSource("a", -1e5), "pressure must be .* got -100000 Pa: pressures are absolute"),
+    ],
+)
+def test_wrong_numbers_are_refused(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_a_port_is_a_name():
+    with pytest.raises(TypeError, match=r"Tank\.node must be the name of a node, got"):
+        jl.Tank(101325.0)
