@@ -1,22 +1,58 @@
 """Differentiable simulation of lumped hydraulic lines, and physical parameters from recorded pressure."""
 
-from jaxlines.inference.fit import fit as fit
-from jaxlines.inference.parameters import Free as Free, Known as Known
-from jaxlines.inference.recording import Recording as Recording
-from jaxlines.physics.containers import Pipe as Pipe, Vessel as Vessel
-from jaxlines.physics.fluids import Oil as Oil
-from jaxlines.physics.lines import FluidInertia as FluidInertia, Line as Line
-from jaxlines.physics.motors import (
-    Brake as Brake,
-    Inertia as Inertia,
-    LoadTorque as LoadTorque,
-    Motor as Motor,
-    Supercharge as Supercharge,
-)
-from jaxlines.physics.resistances import LaminarLeak as LaminarLeak, Orifice as Orifice
-from jaxlines.physics.sensors import FlowSensor as FlowSensor, PressureSensor as PressureSensor
-from jaxlines.physics.servovalve import Servovalve as Servovalve
-from jaxlines.physics.sources import FlowSource as FlowSource, PressureSource as PressureSource, Tank as Tank
-from jaxlines.simulation.circuit import Circuit as Circuit
-from jaxlines.simulation.signals import Constant as Constant, Sampled as Sampled, Sine as Sine, Step as Step
-from jaxlines.simulation.simulate import implicit as implicit, simulate as simulate
+import ast
+import functools
+import importlib
+import importlib.metadata
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # the public names; each is imported when it is first used (see __getattr__)
+    from jaxlines.edge.building import StudyError as StudyError
+    from jaxlines.edge.reading import read_recording as read_recording
+    from jaxlines.edge.study import Study as Study, load_study as load_study
+    from jaxlines.edge.units import si as si
+    from jaxlines.inference.batch import fit_batch as fit_batch
+    from jaxlines.inference.fit import fit as fit
+    from jaxlines.inference.parameters import Free as Free, Known as Known
+    from jaxlines.inference.recording import Recording as Recording
+    from jaxlines.physics.containers import Pipe as Pipe, Vessel as Vessel
+    from jaxlines.physics.fluids import Oil as Oil
+    from jaxlines.physics.lines import FluidInertia as FluidInertia, Line as Line
+    from jaxlines.physics.motors import (
+        Brake as Brake,
+        Inertia as Inertia,
+        LoadTorque as LoadTorque,
+        Motor as Motor,
+        Supercharge as Supercharge,
+    )
+    from jaxlines.physics.resistances import LaminarLeak as LaminarLeak, Orifice as Orifice
+    from jaxlines.physics.sensors import FlowSensor as FlowSensor, PressureSensor as PressureSensor
+    from jaxlines.physics.servovalve import Servovalve as Servovalve
+    from jaxlines.physics.sources import FlowSource as FlowSource, PressureSource as PressureSource, Tank as Tank
+    from jaxlines.simulation.circuit import Circuit as Circuit
+    from jaxlines.simulation.signals import Constant as Constant, Sampled as Sampled, Sine as Sine, Step as Step
+    from jaxlines.simulation.simulate import implicit as implicit, simulate as simulate
+
+
+@functools.cache
+def _homes() -> dict[str, str]:
+    """Public name -> the module it comes from, as the imports above say."""
+    tree = ast.parse(Path(__file__).read_text(encoding="utf-8"))
+    found = [n for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and (n.module or "").startswith("jaxlines.")]
+    return {alias.asname or alias.name: node.module or "" for node in found for alias in node.names}
+
+
+def __getattr__(name: str):
+    """Import a public name when it is first used, so that the command line can set up JAX before it loads."""
+    if name == "__version__":
+        return importlib.metadata.version("jaxlines")
+    home = None if name.startswith("__") else _homes().get(name)
+    if home is None:
+        raise AttributeError(f"module 'jaxlines' has no attribute {name!r}")
+    globals()[name] = getattr(importlib.import_module(home), name)
+    return globals()[name]
+
+
+def __dir__() -> list[str]:
+    return sorted(["__version__", *_homes()])

@@ -6,18 +6,22 @@ component needs nothing here.
 
 import dataclasses
 import difflib
+import functools
+import importlib
+import pkgutil
 import re
 import typing
 
 import numpy as np
 
-import jaxlines
+from jaxlines import physics
 from jaxlines.edge.units import si
 from jaxlines.physics.component import AbstractComponent
 from jaxlines.physics.containers import AbstractContainer
-from jaxlines.physics.fields import AbstractSignal
+from jaxlines.physics.fields import AbstractSignal, External
 from jaxlines.physics.fluids import Oil
 from jaxlines.physics.sensors import AbstractSensor
+from jaxlines.simulation import signals
 from jaxlines.simulation.circuit import Circuit
 
 
@@ -25,9 +29,19 @@ class StudyError(ValueError):
     """A study that cannot be used; the text says where and why, in one line."""
 
 
+@functools.cache
+def _public_classes() -> tuple[type, ...]:
+    """The concrete classes of the physics floor, and the signals."""
+    names = [f"{physics.__name__}.{module.name}" for module in pkgutil.iter_modules(physics.__path__)]
+    modules = [*(importlib.import_module(name) for name in names), signals]
+    found = [(module, thing) for module in modules for thing in vars(module).values() if isinstance(thing, type)]
+    own = [thing for module, thing in found if thing.__module__ == module.__name__ and thing is not External]
+    return tuple(thing for thing in own if not thing.__name__.startswith(("_", "Abstract")))
+
+
 def _kinds(*bases: type) -> dict[str, type]:
-    """The public classes of jaxlines that are of one of these kinds, by name."""
-    return {name: kind for name, kind in vars(jaxlines).items() if isinstance(kind, type) and issubclass(kind, bases)}
+    """The classes of these kinds, by name."""
+    return {kind.__name__: kind for kind in _public_classes() if issubclass(kind, bases)}
 
 
 def suggest(word: str, known) -> str:
