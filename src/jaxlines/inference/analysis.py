@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jaxlines.inference.problem import Problem, number_metadata
+from jaxlines.inference.problem import Problem, number_metadata, set_on_host
 from jaxlines.inference.search import Failed, Found, search
 from jaxlines.inference.uncertainty import (
     NORMAL_95,
@@ -21,7 +21,7 @@ from jaxlines.inference.uncertainty import (
     make_estimate,
 )
 from jaxlines.physics.fields import driven_of
-from jaxlines.simulation.assembly import Values, number_locations
+from jaxlines.simulation.assembly import number_locations
 
 POLYTROPIC_RANGE = (1.0, 1.4)
 """Isothermal to adiabatic: where the polytropic index of entrained air can lie."""
@@ -115,17 +115,6 @@ def channel_fits(problem: Problem, found: Found, sigma: np.ndarray) -> dict[str,
     return channels
 
 
-def _with_value(values: Values, location, factor: float | None = None, value: float | None = None) -> Values:
-    """Packed values with one number multiplied by a factor or replaced, on the host."""
-    leaves, structure = jax.tree.flatten(values)
-    position, member = location
-    leaf = np.array(leaves[position], dtype=float)
-    index = ... if member is None else member
-    leaf[index] = leaf[index] * factor if value is None else value
-    leaves[position] = leaf
-    return jax.tree.unflatten(structure, leaves)
-
-
 def influences(
     problem: Problem, found: Found, sigma: np.ndarray, analysis: Analysis, limit: float = 0.2
 ) -> tuple[str, ...]:
@@ -145,7 +134,7 @@ def influences(
         number = leaf if location[1] is None else leaf[location[1]]
         if path in taken or path.startswith("initial.") or number.ndim or not np.isfinite(number) or number == 0.0:
             continue
-        moved = dataclasses.replace(problem, values=_with_value(problem.values, location, factor=1.01))
+        moved = dataclasses.replace(problem, values=set_on_host(problem.values, location, factor=1.01))
         change = ((moved.predict(found.values) - found.simulated) / sigma)[problem.used]
         if not np.all(np.isfinite(change)):
             continue
@@ -186,7 +175,7 @@ def conditional_range(problem: Problem, found: Found, sigma, estimates) -> tuple
     location = number_locations(problem.plan, problem.values)[index_path]
     ends = []
     for index in POLYTROPIC_RANGE:
-        other = dataclasses.replace(problem, values=_with_value(problem.values, location, value=index))
+        other = dataclasses.replace(problem, values=set_on_host(problem.values, location, value=index))
         try:
             ends.append(search(other, found.coordinates, sigma, lambda count, cost: None, max_evaluations=30).values)
         except Failed:
@@ -196,7 +185,8 @@ def conditional_range(problem: Problem, found: Found, sigma, estimates) -> tuple
     for i, parameter in enumerate(problem.free):
         low, high = sorted(float(end[i]) for end in ends)
         old = estimates[parameter.label]
-        note = f"at {index_path} = {held:g}; {low:.4g} to {high:.4g} over {POLYTROPIC_RANGE[0]:g} to {POLYTROPIC_RANGE[1]:g}"
+        ends_text = f"{low:.4g} to {high:.4g} over {POLYTROPIC_RANGE[0]:g} to {POLYTROPIC_RANGE[1]:g}"
+        note = f"at {index_path} = {held:g}; {ends_text}"
         if old.kind != "unidentified" and (i in airy or high - low > 2.0 * (old.sd or np.inf)):
             estimates[parameter.label] = old._replace(note="; ".join(filter(None, [old.note, note])))
         if i in airy:

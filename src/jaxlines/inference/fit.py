@@ -194,8 +194,8 @@ def _result(problem: Problem, best: Found, sigma, analysis: Analysis, derived, r
     for name, channel in channels.items():
         if not channel.white:
             warnings.append(
-                f"residuals of {name} are not white (Ljung-Box p = {channel.whiteness_p:.1e}): the model misses something "
-                "that the recording shows, and the intervals are too narrow"
+                f"residuals of {name} are not white (Ljung-Box p = {channel.whiteness_p:.1e}): the model misses "
+                "something that the recording shows, and the intervals are too narrow"
             )
         if name in noise and not 0.5 < channel.rmse / noise[name] < 2.0:
             warnings.append(f"residuals of {name} are {channel.rmse / noise[name]:.2g} times the noise that was given")

@@ -1,7 +1,6 @@
 """A circuit and a recording as residuals and an exact Jacobian, on a program compiled once per topology."""
 
 import dataclasses
-import functools
 import math
 
 import jax
@@ -27,15 +26,13 @@ def bucket(size: int) -> int:
     return 3 * power // 4 if size <= 3 * power // 4 else power
 
 
-@functools.partial(jax.jit, static_argnums=(0, 1, 2, 3))
-def _predict(plan, wanted, method, locations, numbers, values, times, tolerance):
+def prediction(plan, wanted, method, locations, numbers, values, times, tolerance):
     """Outputs (times, channels) and status for the numbers at some locations."""
     found = integrate(plan, wanted, method, set_numbers(values, locations, numbers), times, tolerance)
     return found.outputs, found.status
 
 
-@functools.partial(jax.jit, static_argnums=(0, 1, 2, 3, 4))
-def _sensitivities(plan, wanted, method, locations, groups, numbers, values, times, tolerance):
+def sensitivity(plan, wanted, method, locations, groups, numbers, values, times, tolerance):
     """Outputs, d outputs / d parameters (times, channels, parameters) and status; exact, by forward mode.
 
     `groups` gives for each parameter the positions of the numbers that it drives.
@@ -45,11 +42,26 @@ def _sensitivities(plan, wanted, method, locations, groups, numbers, values, tim
         shifted = numbers
         for parameter, members in enumerate(groups):
             shifted = shifted.at[np.asarray(members)].add(shift[parameter])
-        found = integrate(plan, wanted, method, set_numbers(values, locations, shifted), times, tolerance)
-        return found.outputs, (found.outputs, found.status)
+        shown, status = prediction(plan, wanted, method, locations, shifted, values, times, tolerance)
+        return shown, (shown, status)
 
     slopes, (shown, status) = jax.jacfwd(outputs, has_aux=True)(jnp.zeros(len(groups), numbers.dtype))
     return shown, slopes, status
+
+
+_predict = jax.jit(prediction, static_argnums=(0, 1, 2, 3))
+_sensitivities = jax.jit(sensitivity, static_argnums=(0, 1, 2, 3, 4))
+
+
+def set_on_host(values: Values, location, factor: float = 1.0, value: float | None = None) -> Values:
+    """Packed values with one number replaced, or multiplied by a factor, in NumPy."""
+    leaves, structure = jax.tree.flatten(values)
+    position, member = location
+    leaf = np.array(leaves[position], dtype=float)
+    index = ... if member is None else member
+    leaf[index] = leaf[index] * factor if value is None else value
+    leaves[position] = leaf
+    return jax.tree.unflatten(structure, leaves)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,7 +100,8 @@ class Problem:
         """Which samples count, shape (times, channels)."""
         return np.stack([self.recording.mask[name] for name in self.wanted], axis=1)
 
-    def _padded_times(self) -> np.ndarray:
+    def padded_times(self) -> np.ndarray:
+        """Times with the last one repeated up to the bucket."""
         times = self.recording.times
         return np.concatenate([times, np.full(bucket(times.size) - times.size, times[-1])])
 
@@ -96,7 +109,7 @@ class Problem:
         """What the compiled programs take, in the precision of the problem."""
         every = np.concatenate([np.asarray(free_values, dtype=float), self.known_values])
         repeated = np.concatenate([np.full(len(members), every[i]) for i, members in enumerate(self.groups)])
-        return cast((repeated, self.values, self._padded_times(), np.asarray(self.tolerance)), self.precision)
+        return cast((repeated, self.values, self.padded_times(), np.asarray(self.tolerance)), self.precision)
 
     def predict(self, free_values) -> np.ndarray:
         """Simulated channels, shape (times, channels); NaN when the simulation fails."""
@@ -160,7 +173,8 @@ def _recorded_inputs(circuit: Circuit, recording: Recording, interpolation: str)
     for name in circuit.external_inputs():
         if name not in recording.channels:
             raise ValueError(
-                f"{recording.name}: the circuit needs a channel {name!r} as input; it has {', '.join(recording.channels)}"
+                f"{recording.name}: the circuit needs a channel {name!r} as input; "
+                f"it has {', '.join(recording.channels)}"
             )
         values, good = recording.channels[name], recording.mask[name]
         if not good.all():
@@ -171,6 +185,20 @@ def _recorded_inputs(circuit: Circuit, recording: Recording, interpolation: str)
             )
         signals[name] = Sampled(recording.times, values, interpolation)
     return signals
+
+
+def _bound(circuit: Circuit, recording: Recording, interpolation: str) -> tuple[dict, dict]:
+    """The recorded inputs as signals, and the same padded to a bucket."""
+    signals = bind_inputs(circuit, _recorded_inputs(circuit, recording, interpolation), recording.times)
+    return signals, {name: signal.padded(bucket(recording.times.size)) for name, signal in signals.items()}
+
+
+def with_inputs(problem: Problem, recording: Recording, interpolation: str) -> Values:
+    """The packed values of a problem with the inputs of another recording of the same length."""
+    padded = _bound(problem.circuit, recording, interpolation)[1]
+    names = zip(problem.plan.signal_names, problem.values.signals, strict=True)
+    signals = tuple(padded.get(name, signal) for name, signal in names)
+    return dataclasses.replace(problem.values, signals=signals)
 
 
 def _check_parameters(circuit: Circuit, free, known, locations) -> tuple[tuple[Free, ...], tuple[Known, ...]]:
@@ -189,9 +217,10 @@ def _check_parameters(circuit: Circuit, free, known, locations) -> tuple[tuple[F
         for path in parameter.paths:
             metadata = number_metadata(circuit, path)
             if metadata and not (metadata["low"] <= parameter.bounds[0] and parameter.bounds[1] <= metadata["high"]):
+                low, high, slip = metadata["low"], metadata["high"], metadata.get("slip")
                 raise ValueError(
-                    f"{path}: bounds must lie in {metadata['low']:g}..{metadata['high']:g} {metadata['unit']}, got "
-                    f"{parameter.bounds[0]:g}..{parameter.bounds[1]:g}{': ' + metadata['slip'] if metadata['slip'] else ''}"
+                    f"{path}: bounds must lie in {low:g}..{high:g} {metadata['unit']}, got "
+                    f"{parameter.bounds[0]:g}..{parameter.bounds[1]:g}{': ' + slip if slip else ''}"
                 )
     if not full_free:
         raise ValueError("a fit needs at least one free parameter, such as Free('fluid.bulk_modulus', (0.6e9, 2.5e9))")
@@ -213,8 +242,7 @@ def make_problem(
 ) -> Problem:
     """Check a fit's arguments and compile them into a problem. Raises as `fit` documents."""
     with computing_in(precision):
-        signals = bind_inputs(circuit, _recorded_inputs(circuit, recording, interpolation), recording.times)
-        padded = {name: signal.padded(bucket(recording.times.size)) for name, signal in signals.items()}
+        signals, padded = _bound(circuit, recording, interpolation)
         plan, values = compile_circuit(circuit, initial, padded)
         fitted, units = _split_channels(circuit, plan, recording)
         known_locations = number_locations(plan, values)

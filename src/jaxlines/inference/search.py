@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from jaxlines.inference.parameters import Free
 from jaxlines.inference.problem import Problem
 
 OFFSET_LIMIT = 0.01
@@ -83,9 +84,9 @@ def _offset(jacobian, residuals, movable) -> float:
     )
 
 
-def _judge(problem: Problem, coordinates, residuals, jacobian, optimiser_message: str) -> tuple[str, str]:
+def judge(free: tuple[Free, ...], coordinates, residuals, jacobian, optimiser_message: str) -> tuple[str, str]:
     """Status of an end point from its own gradient and bounds, not from the optimiser's word."""
-    bounds = np.array([f.coordinate_bounds() for f in problem.free])
+    bounds = np.array([f.coordinate_bounds() for f in free])
     near = 1e-6 * (bounds[:, 1] - bounds[:, 0])
     gradient = jacobian.T @ residuals
     low = (coordinates - bounds[:, 0] < near) & (gradient > 0)
@@ -98,7 +99,7 @@ def _judge(problem: Problem, coordinates, residuals, jacobian, optimiser_message
         return "stalled", f"the search stopped before the optimum (relative offset {offset:.2g}): {optimiser_message}"
     stuck = [
         f"{f.label} at its {'lower' if low[i] else 'upper'} bound {f.bounds[0] if low[i] else f.bounds[1]:g}"
-        for i, f in enumerate(problem.free)
+        for i, f in enumerate(free)
         if not movable[i]
     ]
     if stuck:
@@ -135,7 +136,7 @@ def search(problem: Problem, start: np.ndarray, sigma: np.ndarray, report, *, ma
     jacobian = weighted_jacobian(problem, found.x, slopes, sigma)
     if not (np.all(np.isfinite(residuals)) and np.all(np.isfinite(jacobian))):
         raise Failed("the simulation fails where the search ended")
-    status, message = _judge(problem, found.x, residuals, jacobian, found.message)
+    status, message = judge(problem.free, found.x, residuals, jacobian, found.message)
     values = evaluator.values(found.x)
     cost = 0.5 * float(residuals @ residuals)
     return Found(values, found.x, simulated, slopes, cost, status, message, evaluator.count)
