@@ -57,8 +57,9 @@ def signal_records(circuit: Circuit, times, inputs) -> dict[str, tuple]:
     grid, records = np.linspace(times[0], times[-1], 8192), {}
     for name, signal in signals.items():
         if isinstance(signal, Sampled):
-            keep = (signal.times >= times[0]) & (signal.times <= times[-1])
-            records[name] = (signal.times[keep], signal.values[keep])
+            shown = signal.times + signal.delay
+            keep = (shown >= times[0]) & (shown <= times[-1])
+            records[name] = (shown[keep], signal.values[keep])
         else:
             records[name] = (grid, np.asarray(jax.vmap(signal)(grid)))
     return records
