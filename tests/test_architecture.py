@@ -128,6 +128,7 @@ import jax, diffrax, equinox, optimistix, jaxtyping, numpy
 before = set(sys.modules)
 state = jax.config.values.copy(), dict(os.environ), list(warnings.filters), numpy.geterr(), numpy.get_printoptions()
 import jaxlines
+jaxlines.simulate, jaxlines.Circuit, jaxlines.fit
 assert state == (jax.config.values, dict(os.environ), list(warnings.filters), numpy.geterr(), numpy.get_printoptions())
 new = {name.split(".")[0] for name in set(sys.modules) - before}
 heavy = {"scipy", "pandas", "matplotlib", "pint", "xarray", "pydantic", "jinja2", "typer", "pyarrow"}

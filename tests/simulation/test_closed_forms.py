@@ -58,11 +58,7 @@ def test_laminar_leak():
 def test_mass_is_conserved_with_air_and_elastic_walls():
     oil = jl.Oil(1.4e9, 850.0, air_fraction=0.03, polytropic_index=1.2, modulus_slope=8.0)
     vessels = {"high": jl.Vessel(2e-3, 5e8), "low": jl.Vessel(1e-3, 1e9)}
-    parts = {
-        "valve": jl.Orifice("A", "B", 2e-6),
-        "high": jl.Line("A", vessels["high"]),
-        "low": jl.Line("B", vessels["low"]),
-    }
+    lines = {name: jl.Line(node, vessels[name]) for name, node in (("high", "A"), ("low", "B"))}
     sim = jl.simulate(
         jl.Circuit(oil, {"valve": jl.Orifice("A", "B", 2e-6), **lines}),
         np.linspace(0, 0.3, 61),
