@@ -1,0 +1,162 @@
+"""Results on disk: result.json, traces.csv and report.html, each written whole or not at all."""
+
+import importlib.metadata
+import io
+import json
+import math
+import os
+import uuid
+from pathlib import Path
+
+import numpy as np
+
+from jaxlines.edge.report import fit_report
+from jaxlines.inference.fit_result import Fit
+from jaxlines.inference.uncertainty import Estimate
+from jaxlines.simulation.result import MESSAGES, Simulation
+from jaxlines.simulation.validity import Validity
+
+
+def plain(value):
+    """Numbers, texts, lists and dictionaries that strict JSON can hold; what is not finite becomes null."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [plain(item) for item in value]
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value
+
+
+def write_whole(path: Path, text: str) -> Path:
+    """Write a file so that a reader sees the old one or the new one, never a part. Raises OSError."""
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}")
+    try:
+        with open(temporary, "x", encoding="utf-8", newline="") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    return path
+
+
+def _json(content: dict) -> str:
+    """Strict JSON, readable."""
+    return json.dumps(plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _csv(columns: dict[str, np.ndarray]) -> str:
+    """A table as CSV, nine digits, empty where a number is missing."""
+    import pandas
+
+    buffer = io.StringIO()
+    pandas.DataFrame(columns).to_csv(buffer, index=False, float_format="%.9g", lineterminator="\n")
+    return buffer.getvalue()
+
+
+def _unit_suffix(unit: str) -> str:
+    """ " [Pa]"; a plain number has the unit 1."""
+    return f" [{unit}]"
+
+
+def _estimates(estimates: dict[str, Estimate]) -> dict:
+    """Estimates by name as plain dictionaries."""
+    return {name: estimate._asdict() for name, estimate in estimates.items()}
+
+
+def _validity(validity: Validity | None) -> dict | None:
+    return None if validity is None else validity.to_dict()
+
+
+def fit_result(fit: Fit, title: str) -> dict:
+    """What result.json says of a fit; SI units."""
+    return {
+        "title": title,
+        "status": fit.status,
+        "message": fit.message,
+        "parameters": _estimates(fit.parameters),
+        "derived": _estimates(fit.derived),
+        "rmse": {name: channel.rmse for name, channel in fit.channels.items()},
+        "noise": {name: channel.sigma for name, channel in fit.channels.items()},
+        "whiteness": {name: {"p": c.whiteness_p, "white": c.white} for name, c in fit.channels.items()},
+        "correlations": {"names": list(fit.parameters), "matrix": fit.correlations},
+        "identifiability": fit.identifiability,
+        "scale": fit.scale,
+        "singular_values": fit.singular_values,
+        "validity": _validity(fit.validity),
+        "initial": fit.initial,
+        "warnings": fit.warnings,
+        "num_evaluations": fit.num_evaluations,
+        "seconds": fit.seconds,
+        "version": importlib.metadata.version("jaxlines"),
+    }
+
+
+def _fit_traces(fit: Fit) -> dict[str, np.ndarray]:
+    """Time, and measured and simulated values of every channel; measured is empty where it was not used."""
+    columns: dict[str, np.ndarray] = {}
+    for name, channel in fit.channels.items():
+        columns.setdefault("time [s]", channel.times)
+        columns[f"{name} measured{_unit_suffix(channel.unit)}"] = np.where(channel.used, channel.measured, np.nan)
+        columns[f"{name} simulated{_unit_suffix(channel.unit)}"] = channel.simulated
+    return columns
+
+
+def _folder(directory) -> Path:
+    """The folder of the results, made if needed. Raises OSError."""
+    folder = Path(directory)
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def _title(study) -> str:
+    """The title of a study, or the title itself."""
+    return study if isinstance(study, str) else study.title
+
+
+def write_fit(fit: Fit, study, directory) -> list[Path]:
+    """Write a fit as result.json, traces.csv and report.html into a folder.
+
+    Args: fit; study: the `Study` or a title; directory: made if needed.
+    Returns: the files. A failed fit has no traces. Raises: OSError when the folder cannot be written.
+    """
+    folder, title = _folder(directory), _title(study)
+    files = [write_whole(folder / "result.json", _json(fit_result(fit, title)))]
+    if fit.channels:
+        files.append(write_whole(folder / "traces.csv", _csv(_fit_traces(fit))))
+    return [*files, write_whole(folder / "report.html", fit_report(fit, title))]
+
+
+def write_simulation(simulation: Simulation, study, directory, outputs=()) -> list[Path]:
+    """Write a simulation as result.json and traces.csv into a folder.
+
+    Args: simulation; study: the `Study` or a title; directory: made if needed; outputs: which (default: all).
+    Returns: the files. Raises: OSError when the folder cannot be written.
+    """
+    folder, names = _folder(directory), list(outputs) or list(simulation.outputs)
+    series = {name: np.asarray(simulation[name]) for name in names}
+    content = {
+        "title": _title(study),
+        "status": simulation.status,
+        "message": MESSAGES[simulation.status],
+        "outputs": {
+            name: {"unit": simulation.units[name], "min": values.min(), "max": values.max(), "last": values[-1]}
+            for name, values in series.items()
+        },
+        "validity": _validity(simulation.validity()),
+        "num_steps": simulation.num_steps,
+        "num_rejected": simulation.num_rejected,
+        "version": importlib.metadata.version("jaxlines"),
+    }
+    columns = {"time [s]": np.asarray(simulation.times)}
+    columns |= {f"{name}{_unit_suffix(simulation.units[name])}": values for name, values in series.items()}
+    return [
+        write_whole(folder / "result.json", _json(content)),
+        write_whole(folder / "traces.csv", _csv(columns)),
+    ]
