@@ -14,7 +14,7 @@ type = "Line"
 node = "A"
 path_length = "20.83 m"
 parts = [
-  { type = "Pipe", length = "20.83 m", inner_diameter = "42.85 mm", outer_diameter = "60.32 mm", poissons_ratio = 0.25 },
+  { type = "Pipe", length = "20.83 m", inner_diameter = "42.85 mm", outer_diameter = "60.32 mm", poissons_ratio=0.25 },
   { type = "Vessel", volume = "0.5 L" },
 ]
 [circuit.valve]

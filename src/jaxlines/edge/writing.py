@@ -21,7 +21,9 @@ def plain(value):
     """Numbers, texts, lists and dictionaries that strict JSON can hold; what is not finite becomes null."""
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple | np.ndarray):
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
         return [plain(item) for item in value]
     if isinstance(value, bool | np.bool_):
         return bool(value)
@@ -108,10 +110,12 @@ def _fit_traces(fit: Fit) -> dict[str, np.ndarray]:
     return columns
 
 
-def _folder(directory) -> Path:
-    """The folder of the results, made if needed. Raises OSError."""
+def make_folder(directory) -> Path:
+    """The folder of the results, made if needed. Raises OSError when it cannot be written."""
     folder = Path(directory)
     folder.mkdir(parents=True, exist_ok=True)
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise PermissionError(f"{folder}: the folder cannot be written: choose another with --out")
     return folder
 
 
@@ -126,7 +130,7 @@ def write_fit(fit: Fit, study, directory) -> list[Path]:
     Args: fit; study: the `Study` or a title; directory: made if needed.
     Returns: the files. A failed fit has no traces. Raises: OSError when the folder cannot be written.
     """
-    folder, title = _folder(directory), _title(study)
+    folder, title = make_folder(directory), _title(study)
     files = [write_whole(folder / "result.json", _json(fit_result(fit, title)))]
     if fit.channels:
         files.append(write_whole(folder / "traces.csv", _csv(_fit_traces(fit))))
@@ -139,7 +143,7 @@ def write_simulation(simulation: Simulation, study, directory, outputs=()) -> li
     Args: simulation; study: the `Study` or a title; directory: made if needed; outputs: which (default: all).
     Returns: the files. Raises: OSError when the folder cannot be written.
     """
-    folder, names = _folder(directory), list(outputs) or list(simulation.outputs)
+    folder, names = make_folder(directory), list(outputs) or list(simulation.outputs)
     series = {name: np.asarray(simulation[name]) for name in names}
     content = {
         "title": _title(study),

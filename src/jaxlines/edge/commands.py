@@ -1,0 +1,139 @@
+"""The commands: fit, simulate and check a study."""
+
+import contextlib
+import importlib.metadata
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+# Whatever needs JAX is imported inside the commands, so that --version and --help answer at once.
+
+WRONG_CALL = 2
+FIT_FAILED = 1
+INTERRUPTED = 130
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="Simulate lumped hydraulic lines and find their physical parameters in recorded pressure.",
+)
+
+StudyFile = Annotated[str, typer.Argument(metavar="STUDY", help="A study file (TOML), or example:NAME.")]
+Out = Annotated[Path | None, typer.Option("--out", help="Folder for the results, made if needed.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="No progress.")]
+
+
+def _show_version(wanted: bool) -> None:
+    """Print the version and stop."""
+    if wanted:
+        typer.echo(f"jaxlines {importlib.metadata.version('jaxlines')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    """Options before the command."""
+
+
+@contextlib.contextmanager
+def _one_line_errors(study: str):
+    """What a user did wrong, or a failed simulation, as one line on stderr and exit code 2; 130 for Ctrl-C."""
+    try:
+        yield
+    except typer.Exit:
+        raise
+    except KeyboardInterrupt:
+        typer.echo("jaxlines: interrupted", err=True)
+        raise typer.Exit(INTERRUPTED) from None
+    except (ValueError, KeyError, TypeError, OSError, RuntimeError) as error:
+        line = _one_line(error)
+        typer.echo(f"jaxlines: {line}" if line.startswith(study) else f"jaxlines: {study}: {line}", err=True)
+        raise typer.Exit(WRONG_CALL) from None
+
+
+def _one_line(error: Exception) -> str:
+    """What went wrong, in one line."""
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    text = str(error.args[0]) if isinstance(error, KeyError) and error.args else str(error)
+    return " ".join(text.split())
+
+
+def _writable(out: Path | None) -> None:
+    """Raise OSError before any work when the results could not be written."""
+    if out is not None:
+        from jaxlines.edge.writing import make_folder
+
+        make_folder(out)
+
+
+def _report_files(files) -> None:
+    """Say what was written."""
+    typer.echo(f"wrote {', '.join(str(file) for file in files)}")
+
+
+@app.command()
+def fit(study: StudyFile, out: Out = None, quiet: Quiet = False) -> None:
+    """Fit the free parameters of a study to its recording."""
+    from jaxlines.edge.showing import progress, show_fit
+
+    with _one_line_errors(study):
+        from jaxlines.edge.study import load_study
+
+        _writable(out)
+        with progress(quiet) as say:
+            say("reading the study", 0.0)
+            loaded = load_study(study)
+            found = loaded.fit(say)
+        show_fit(found, loaded.title)
+        if out is not None:
+            from jaxlines.edge.writing import write_fit
+
+            _report_files(write_fit(found, loaded, out))
+        if found.status == "failed":
+            typer.echo(f"jaxlines: {study}: the fit failed: {found.message}", err=True)
+            raise typer.Exit(FIT_FAILED)
+
+
+@app.command()
+def simulate(study: StudyFile, out: Out = None, quiet: Quiet = False) -> None:
+    """Simulate the circuit of a study with the numbers of the file."""
+    from jaxlines.edge.showing import progress, show_simulation
+
+    with _one_line_errors(study):
+        from jaxlines.edge.study import load_study
+
+        _writable(out)
+        with progress(quiet) as say:
+            say("reading the study", 0.0)
+            loaded = load_study(study)
+            say("simulating", 0.3)
+            simulation = loaded.simulate()
+        show_simulation(simulation, loaded.title, loaded.outputs)
+        if out is not None:
+            from jaxlines.edge.writing import write_simulation
+
+            _report_files(write_simulation(simulation, loaded, out, loaded.outputs))
+
+
+@app.command()
+def check(study: StudyFile, quiet: Quiet = False) -> None:
+    """Read a study, simulate it once, and say what is in it and what looks odd; no fit."""
+    from jaxlines.edge.showing import progress, show_simulation, show_study
+
+    with _one_line_errors(study):
+        from jaxlines.edge.study import load_study
+
+        with progress(quiet) as say:
+            say("reading the study", 0.0)
+            loaded = load_study(study)
+            say("simulating", 0.3)
+            simulation = loaded.simulate(on_recording=True)
+        show_study(loaded, simulation)
+        show_simulation(simulation, "simulated with the numbers of the file", ())

@@ -1,0 +1,147 @@
+"""What the commands print: progress while they work, tables when they are done."""
+
+import contextlib
+import sys
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from jaxlines.edge.display import estimate_row, readable_unit
+from jaxlines.edge.study import Study
+from jaxlines.inference.fit_result import Fit
+from jaxlines.simulation.result import Simulation
+
+
+@contextlib.contextmanager
+def progress(quiet: bool):
+    """A function of (text, fraction done): a bar on a terminal, lines elsewhere, nothing when quiet."""
+    if quiet:
+        yield lambda text, fraction: None
+    elif not sys.stderr.isatty():
+        yield _line_by_line()
+    else:
+        columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
+        with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+            task = bar.add_task("", total=1.0)
+            yield lambda text, fraction: bar.update(task, description=escape(text), completed=fraction)
+
+
+def _line_by_line():
+    """Lines on stderr, one for each kind of step."""
+    last = ""
+
+    def say(text: str, fraction: float) -> None:
+        nonlocal last
+        step = text.split(",")[0]
+        if step != last:
+            print(f"{100 * fraction:3.0f} % {step}", file=sys.stderr, flush=True)
+        last = step
+
+    return say
+
+
+def _console() -> Console:
+    """The standard output; wide where it is no terminal, so that lines are not broken."""
+    return Console(highlight=False, width=None if sys.stdout.isatty() else 160)
+
+
+def _table(*columns: str) -> Table:
+    """A plain table whose first column is left-aligned."""
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for i, column in enumerate(columns):
+        table.add_column(column, justify="right" if 0 < i < len(columns) - 1 else "left", overflow="fold")
+    return table
+
+
+def _sentences(console: Console, heading: str, sentences) -> None:
+    """A heading and its sentences; nothing without any."""
+    if sentences:
+        console.print(f"\n[bold]{heading}[/bold]")
+        for sentence in sentences:
+            console.print(f"  - {escape(sentence)}")
+
+
+def show_fit(fit: Fit, title: str) -> None:
+    """A fit: status, estimates, channels, and everything a reader must know about them."""
+    console = _console()
+    colour = {"converged": "green", "failed": "red"}.get(fit.status, "yellow")
+    console.print(f"[bold]{escape(title)}[/bold]")
+    console.print(f"[{colour}]{fit.status}[/{colour}]: {escape(fit.message)} ({fit.seconds:.1f} s)\n")
+    table = _table("number", "estimate", "sd", "95 % interval", "unit")
+    for name, estimate in (fit.parameters | fit.derived).items():
+        row = estimate_row(estimate)
+        table.add_row(escape(name), row.value, row.sd, row.interval, row.unit)
+    if table.row_count:
+        console.print(table)
+    notes = [f"{name}: {e.note}" for name, e in (fit.parameters | fit.derived).items() if e.note]
+    _sentences(console, "notes", notes)
+    channels = [
+        f"{name}: rmse {channel.rmse:.4g} {channel.unit}, noise {channel.sigma:.4g} {channel.unit}, residuals "
+        f"{'white' if channel.white else 'NOT white'} (p = {channel.whiteness_p:.2g})"
+        for name, channel in fit.channels.items()
+    ]
+    _sentences(console, "channels", channels)
+    _sentences(console, "cannot be told apart", fit.identifiability)
+    _sentences(console, "rests on", fit.scale)
+    _sentences(console, "validity of the lumped model", fit.validity.sentences() if fit.validity else ())
+    _sentences(console, "warnings", fit.warnings)
+
+
+def _statistics(series: dict[str, tuple[np.ndarray, str]]) -> Table:
+    """Smallest, mean and largest value of each series, in readable units; the mean of the values, not over time."""
+    table = _table("channel", "min", "mean", "max", "unit")
+    for name, (values, unit) in series.items():
+        finite = values[np.isfinite(values)]
+        label, factor = readable_unit(unit, float(np.abs(finite).max()) if finite.size else 0.0)
+        numbers = (finite.min(), finite.mean(), finite.max()) if finite.size else ()
+        table.add_row(escape(name), *(f"{x * factor:.5g}" for x in numbers), label)
+    return table
+
+
+def show_simulation(simulation: Simulation, title: str, outputs) -> None:
+    """A simulation: outputs, steps, validity."""
+    console, names = _console(), list(outputs) or list(simulation.outputs)
+    console.print(f"[bold]{escape(title)}[/bold]")
+    times = np.asarray(simulation.times)
+    steps = f"{int(simulation.num_steps)} steps"
+    console.print(f"{simulation.status}: {times[0]:g} s to {times[-1]:g} s, {times.size} samples, {steps}\n")
+    console.print(_statistics({n: (np.asarray(simulation[n]), simulation.units[n]) for n in names}))
+    _sentences(console, "validity of the lumped model", simulation.validity().sentences())
+
+
+def show_study(study: Study, simulation: Simulation) -> None:
+    """What a study contains: circuit, recording, what is free and known, what looks odd."""
+    console = _console()
+    console.print(f"[bold]{escape(study.title)}[/bold]  ({escape(study.source)})\n")
+    parts = study.circuit.components
+    kinds = ", ".join(f"{name} ({type(part).__name__})" for name, part in parts.items())
+    console.print(f"circuit: {escape(kinds)}")
+    console.print(f"nodes: {escape(', '.join(study.circuit.nodes()))}")
+    console.print(f"inputs: {escape(', '.join(study.names.inputs)) or 'none'}\n")
+    if study.recording is not None:
+        times, channels = study.recording.times, study.recording.channels
+        span = f"{times[0]:g} s to {times[-1]:g} s, step {np.median(np.diff(times)):.4g} s"
+        console.print(f"recording {escape(study.recording.name)}: {times.size} samples, {span}")
+        known = {**study.names.outputs, **study.names.inputs}
+        console.print(_statistics({name: (values, known[name]["unit"]) for name, values in channels.items()}))
+        _sentences(console, "warnings", study.recording.warnings)
+        _sentences(console, "distance from the recording before any fit", _distances(study, simulation))
+    free = [f"{f.label}: {f.bounds[0]:.5g} to {f.bounds[1]:.5g}, {f.transform}" for f in study.free]
+    _sentences(console, "free (SI)", free)
+    _sentences(console, "known (SI)", [f"{k.path}: standard uncertainty {k.sd:.4g}" for k in study.known])
+    console.print()
+
+
+def _distances(study: Study, simulation: Simulation) -> list[str]:
+    """Root mean square of measured minus simulated, channel by channel."""
+    found = []
+    assert study.recording is not None
+    for name, values in study.recording.channels.items():
+        if name in simulation.outputs and np.array_equal(simulation.times, study.recording.times):
+            rmse = float(np.sqrt(np.nanmean((values - np.asarray(simulation[name])) ** 2)))
+            unit, factor = readable_unit(simulation.units[name], rmse)
+            found.append(f"{name}: {rmse * factor:.4g} {unit}")
+    return found

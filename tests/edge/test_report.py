@@ -1,0 +1,234 @@
+"""The report and its pictures: complete, self-contained, small, and faithful to the numbers."""
+
+import re
+import xml.etree.ElementTree as ElementTree
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+import jaxlines as jl
+from jaxlines.catalogue.dsn70m_drive import axis_drive
+from jaxlines.edge.display import estimate_row, readable_unit, rounded
+from jaxlines.edge.drawing import circuit_svg
+from jaxlines.edge.plots import decimate, plot_bulk_modulus, plot_channel, plot_residuals, plot_wave_speed
+from jaxlines.edge.report import fit_report
+from jaxlines.inference.analysis import ChannelFit
+from jaxlines.inference.curves import Curve
+from jaxlines.inference.fit_result import Fit
+from jaxlines.inference.uncertainty import Estimate
+from jaxlines.physics.fields import ports_of
+
+INTERVAL = Estimate(1.379e9, 3.6e6, (1.372e9, 1.386e9), "Pa", "interval", "isentropic & tangent")
+LIMIT = Estimate(1e-13, 2e-13, (0.0, 4.3e-13), "m^3/(s*Pa)", "upper_limit", "not detected: 95 % upper limit")
+OPEN = Estimate(0.012, None, None, "1", "unidentified", "left open")
+
+
+def circuit():
+    oil = jl.Oil(bulk_modulus=1.5e9, density=850.0)
+    parts = {
+        "line": jl.Line("A", [jl.Vessel(volume=1e-3)], 5.0),
+        "leak <1>": jl.LaminarLeak("A", "T", conductance=1e-12),
+        "tank": jl.Tank("T"),
+        "gauge": jl.PressureSensor("A"),
+        "meter": jl.FlowSensor("leak <1>.a"),
+    }
+    return jl.Circuit(oil, parts)
+
+
+def channel(samples):
+    times = np.linspace(0.0, 30.0, samples)
+    measured = 5e6 + 4e6 * np.sin(times) + 4e4 * np.cos(1e3 * times)
+    measured[samples // 2] = 2e7
+    used = times < 29.0
+    return ChannelFit(times, measured, 5e6 + 4e6 * np.sin(times), used, 4e4, 3.9e4, "Pa", 0.02, False)
+
+
+def made_fit(samples=500, channels=("A.pressure",)):
+    pressure = np.linspace(1e5, 1e7, 60)
+    band = (1.3e9 - 1e14 / pressure, 1.2e9 - 1e14 / pressure, 1.4e9 - 1e14 / pressure)
+    curve = Curve(pressure, *band, *(np.sqrt(np.abs(b) / 850.0) for b in band))
+    return Fit(
+        status="at_bound",
+        message="the optimum lies on a bound",
+        parameters={"fluid.bulk_modulus": INTERVAL, "leak.conductance": LIMIT, "fluid.air_fraction": OPEN},
+        derived={"line.wave_speed": Estimate(1186.4, 1.4, (1183.5, 1189.2), "m/s", "interval", "at 3.75 MPa")},
+        correlations=np.array([[1.0, -0.5, np.nan], [-0.5, 1.0, 0.2], [np.nan, 0.2, 1.0]]),
+        channels={name: channel(samples) for name in channels},
+        curves={"line": curve},
+        identifiability=("air and index only together",),
+        scale=("the measured flow fixes the scale",),
+        singular_values=np.ones(3),
+        warnings=("flow: constant <dead>",),
+        validity=None,
+        circuit=circuit(),
+        initial={},
+        num_evaluations=13,
+        seconds=2.5,
+    )
+
+
+class Page(HTMLParser):
+    """Collects the text, the addresses and the tags that are left open."""
+
+    def __init__(self, text):
+        HTMLParser.__init__(self)
+        self.words, self.addresses, self.open = [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.addresses += [value for key, value in attrs if key in ("src", "href", "xlink:href", "action")]
+        if tag not in ("meta", "br", "img"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+
+@pytest.fixture(scope="module")
+def html():
+    return fit_report(made_fit(), "Line <1> & test")
+
+
+def test_page_is_well_formed_and_complete(html):
+    page = Page(html)
+    assert page.open == []
+    text = " ".join(" ".join(page.words).split())
+    for words in (
+        "Line <1> & test", "at_bound", "the optimum lies on a bound", "13 evaluations, 2.5 s", "fluid.bulk_modulus",
+        "1.3790", "0.0036", "1.3720 to 1.3860", "GPa", "isentropic & tangent", "< 4.3e-13", "not identified",
+        "line.wave_speed", "1186.4", "air and index only together", "the measured flow fixes the scale",
+        "flow: constant <dead>", "-0.50", "do not look random", "wave speed [m/s]", "effective bulk modulus [GPa]",
+        "A.pressure [MPa]", "residual [MPa]", "leak <1>", "LaminarLeak", "jax ",
+    ):  # fmt: skip
+        assert words in text, words
+
+
+def test_page_needs_no_network(html):
+    assert all(address.startswith("#") for address in Page(html).addresses)
+    assert "<script" not in html
+    assert not re.search(r"url\((?!['\"]?#)|@import", html)
+
+
+def test_page_is_light_dark_narrow_and_described(html):
+    assert "prefers-color-scheme: dark" in html
+    assert 'name="viewport"' in html
+    assert "max-width: 40rem" in html
+    assert "currentColor" in html
+    labels = re.findall(r'<svg role="img" aria-label="([^"]+)"', html)
+    assert len(labels) == 3
+    assert "A.pressure over time, measured and simulated" in labels[0]
+    assert "#010203" not in html
+
+
+def test_long_recordings_stay_small():
+    names = tuple(f"N{i}.pressure" for i in range(6))
+    assert len(fit_report(made_fit(100_000, names), "long").encode()) < 1_000_000
+
+
+def test_failed_fit_has_a_page():
+    page = fit_report(Fit.failure(circuit(), "every start failed", 0.5), "failed")
+    assert "every start failed" in page
+    assert "Parameters" not in page
+
+
+def test_decimation_keeps_extremes_order_and_holes():
+    times = np.arange(100_000.0)
+    values = np.sin(times / 500.0)
+    values[12_345], values[67_890] = 7.0, -7.0
+    values[30_000:40_000] = np.nan
+    kept_times, kept = decimate(times, values, 4000)
+    assert kept.size <= 4000
+    assert np.nanmax(kept) == 7.0
+    assert np.nanmin(kept) == -7.0
+    assert np.all(np.diff(kept_times) > 0)
+    assert np.isnan(kept[(kept_times > 31_000) & (kept_times < 39_000)]).all()
+    assert decimate(times[:10], values[:10])[0].size == 10
+
+
+def test_plots_draw_the_numbers():
+    shown = channel(300)
+    lines = {line.get_label(): line.get_data() for line in plot_channel(shown, "A.pressure").get_lines()}
+    np.testing.assert_allclose(lines["simulated"][1], shown.simulated / 1e6)
+    np.testing.assert_allclose(lines["measured"][1], np.where(shown.used, shown.measured / 1e6, np.nan))
+    residuals = plot_residuals(shown, "A.pressure").get_lines()[0].get_ydata()
+    np.testing.assert_allclose(residuals[shown.used], (shown.measured - shown.simulated)[shown.used] / 1e6)
+    curve = made_fit().curves["line"]
+    axes = plot_bulk_modulus(curve)
+    np.testing.assert_allclose(axes.get_lines()[0].get_ydata(), curve.bulk_modulus / 1e9)
+    assert axes.get_xlabel() == "absolute pressure [MPa]"
+    speed = plot_wave_speed(curve)
+    np.testing.assert_allclose(speed.get_lines()[0].get_ydata(), curve.wave_speed)
+    band = speed.collections[0].get_paths()[0].vertices[:, 1]
+    assert band.min() == pytest.approx(curve.wave_speed_low.min())
+
+
+def drawn(circuit_object):
+    root = ElementTree.fromstring(circuit_svg(circuit_object))
+    texts = [element.text for element in root.iter() if element.tag == "text"]
+    return root, texts
+
+
+def test_drawing_names_every_node_component_and_port():
+    root, texts = drawn(circuit())
+    for name in ("A", "T", "line", "leak <1>", "tank", "gauge", "meter", "LaminarLeak", "a", "b"):
+        assert name in texts
+    assert "leak <1> (LaminarLeak) at A, T" in root.find("title").text
+
+
+def test_drawing_connects_ports_to_their_rails_without_overlap():
+    drive = axis_drive("azimuth")
+    root, _ = drawn(drive)
+    rails = [e for e in root.iter("line") if e.get("class").startswith("rail")]
+    assert len(rails) == len(drive.nodes())
+    at = dict(zip(drive.nodes(), (float(rail.get("x1")) for rail in rails), strict=True))
+    dots = sorted(float(dot.get("cx")) for dot in root.iter("circle"))
+    expected = [at[getattr(part, port)] for part in drive.parts().values() for port in ports_of(part)]
+    assert dots == sorted(expected)
+    for box in root.iter("rect"):
+        left, right = float(box.get("x")), float(box.get("x")) + float(box.get("width"))
+        assert not any(left <= x <= right for x in at.values())
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "text"),
+    [
+        (1.379e9, 3.6e6, "1.3790e+09"),
+        (1186.43, 1.4, "1186.4"),
+        (0.0069897, 4.8e-5, "0.006990"),
+        (12.0, None, "12.000"),
+        (0.0, 1.0, "0"),
+        (1.0, 50.0, "1.0"),
+        (float("nan"), None, "nan"),
+    ],
+)
+def test_rounding_leaves_two_digits_of_the_uncertainty(value, sd, text):
+    assert rounded(value, sd) == text
+
+
+@pytest.mark.parametrize(
+    ("unit", "size", "label", "factor"),
+    [
+        ("Pa", 1.3e9, "GPa", 1e-9),
+        ("Pa", -2e6, "MPa", 1e-6),
+        ("Pa", 300.0, "kPa", 1e-3),
+        ("Pa", 3.0, "Pa", 1.0),
+        ("m^3/s", 1e-4, "L/min", 6e4),
+        ("m^3", 1e-3, "L", 1e3),
+        ("s", 0.02, "ms", 1e3),
+        ("1", 0.5, "", 1.0),
+        ("N*m", 0.5, "N·m", 1.0),
+        ("Pa", float("nan"), "Pa", 1.0),
+    ],
+)
+def test_readable_units(unit, size, label, factor):
+    assert readable_unit(unit, size) == (label, factor)
+
+
+def test_rows_of_estimates():
+    assert estimate_row(INTERVAL)[:4] == ("1.3790", "0.0036", "1.3720 to 1.3860", "GPa")
+    assert estimate_row(LIMIT)[:4] == ("< 4.3e-13", "", "0 to 4.3e-13", "m³/(s·Pa)")
+    assert estimate_row(OPEN)[:4] == ("0.012000", "", "not identified", "")
