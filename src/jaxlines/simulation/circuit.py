@@ -103,7 +103,9 @@ class Circuit(eqx.Module):
             if metadata and check:
                 check_range(path, number, metadata)
             leaves[positions[path]] = number
-        return jax.tree.unflatten(structure, leaves)
+        changed = jax.tree.unflatten(structure, leaves)
+        # JAX sorts the names; in their own order the changed circuit runs on the same compiled program.
+        return Circuit(changed.fluid, {name: changed.components[name] for name in self.components})
 
 
 def field_metadata(circuit: Circuit, path: str) -> dict:

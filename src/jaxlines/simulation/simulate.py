@@ -12,12 +12,12 @@ import optimistix
 
 from jaxlines.physics.fields import AbstractSignal, check_range, driven_of
 from jaxlines.simulation.assembly import Plan, Values, compile_circuit, rates, ravel, unravel
-from jaxlines.simulation.circuit import Circuit, field_metadata
+from jaxlines.simulation.circuit import Circuit
 from jaxlines.simulation.observation import observe, quantities, sensor_units
 from jaxlines.simulation.paths import resolve
 from jaxlines.simulation.precision import cast, computing_in, is_traced
 from jaxlines.simulation.result import STATUS, Simulation
-from jaxlines.simulation.signals import Sampled, as_signal
+from jaxlines.simulation.signals import Constant, Sampled, Step, as_signal
 
 
 def implicit(solver: diffrax.AbstractSolver | None = None) -> diffrax.AbstractSolver:
@@ -142,6 +142,10 @@ def _run(plan, wanted, method, values, times, tolerance):
     return integrate(plan, wanted, method, values, times, tolerance)
 
 
+_LEVELS = {Sampled: ("values",), Constant: ("value",), Step: ("before", "after")}
+"""Fields of a signal that hold values which it takes."""
+
+
 def bind_inputs(circuit: Circuit, inputs: dict | None, times) -> dict[str, AbstractSignal]:
     """The external inputs of a circuit as signals, checked: all there, none too many, values in range."""
     needed, inputs = circuit.external_inputs(), dict(inputs or {})
@@ -158,8 +162,8 @@ def bind_inputs(circuit: Circuit, inputs: dict | None, times) -> dict[str, Abstr
         signal = bound[name]
         for component, field in places:
             metadata = driven_of(circuit.components[component])[field]
-            if isinstance(signal, Sampled):
-                check_range(f"input {name!r} ({component}.{field})", signal.values, metadata)
+            for level in _LEVELS.get(type(signal), ()):
+                check_range(f"input {name!r} ({component}.{field})", getattr(signal, level), metadata)
     return bound
 
 
