@@ -13,15 +13,19 @@ from studies import write_study
 from typer.testing import CliRunner
 
 import jaxlines.edge.study
-from jaxlines.edge import main as main_module
+from jaxlines.edge import main as main_module, writing
 from jaxlines.edge.commands import app
+from jaxlines.edge.study import load_study
+from jaxlines.edge.writing import plain, write_fit
+from jaxlines.inference.analysis import ChannelFit
+from jaxlines.inference.fit_result import Fit
 
 run = CliRunner().invoke
 
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory):
-    return str(write_study(tmp_path_factory.mktemp("study")))
+    return str(write_study(tmp_path_factory.mktemp("study"), ('air_fraction = "0.5 %"', "air_fraction = 0.0")))
 
 
 @pytest.fixture(scope="module")
@@ -137,9 +141,7 @@ def test_other_ends_are_one_line(study, monkeypatch, error, code, words):
 
 
 def test_failed_fit_exits_with_one(study, monkeypatch, tmp_path):
-    from jaxlines.inference.fit_result import Fit
-
-    loaded = jaxlines.edge.study.load_study(study)
+    loaded = load_study(study)
     monkeypatch.setattr(
         jaxlines.edge.study, "fit", lambda *_, **__: Fit.failure(loaded.circuit, "no start worked", 0.1)
     )
@@ -150,8 +152,6 @@ def test_failed_fit_exits_with_one(study, monkeypatch, tmp_path):
 
 
 def test_rest_of_a_failed_write_is_removed(fitted, tmp_path, monkeypatch):
-    from jaxlines.edge import writing
-
     path = tmp_path / "result.json"
     path.write_text("old")
     monkeypatch.setattr(writing.os, "replace", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
@@ -162,8 +162,6 @@ def test_rest_of_a_failed_write_is_removed(fitted, tmp_path, monkeypatch):
 
 
 def test_not_finite_becomes_null():
-    from jaxlines.edge.writing import plain
-
     values = {
         "a": float("nan"),
         "b": np.array([1.0, np.inf]),
@@ -214,17 +212,11 @@ def test_version_loads_nothing_heavy():
     assert loaded == "[]"
 
 
-def test_traces_of_unused_samples_are_empty(fitted):
-    from jaxlines.edge.writing import _fit_traces
-    from jaxlines.inference.analysis import ChannelFit
-
-    times = np.arange(3.0)
-    used = np.array([True, False, True])
+def test_traces_of_unused_samples_are_empty(study, tmp_path):
+    times, used = np.arange(3.0), np.array([True, False, True])
     channel = ChannelFit(times, times, times, used, 1.0, 0.0, "Pa", 0.5, True)
-
-    @dataclasses.dataclass
-    class Two:
-        channels: dict
-
-    measured = _fit_traces(Two({"p": channel}))["p measured [Pa]"]
+    failure = Fit.failure(load_study(study).circuit, "", 0.0)
+    write_fit(dataclasses.replace(failure, channels={"p": channel}), "a title", tmp_path)
+    measured = pd.read_csv(tmp_path / "traces.csv")["p measured [Pa]"]
     np.testing.assert_array_equal(measured, [0.0, np.nan, 2.0])
+    assert json.loads((tmp_path / "result.json").read_text())["title"] == "a title"

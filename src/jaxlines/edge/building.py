@@ -62,18 +62,19 @@ class Builder:
 
     atmospheric_pressure: float
 
-    def number(self, value, metadata: dict, where: str):
-        """A number, or an array of them from a list, in the unit of its field."""
-        unit, level = metadata["unit"], bool(metadata.get("level"))
+    def number(self, value, metadata: dict, where: str) -> float:
+        """A number in the unit of its field. Raises StudyError with the place."""
+        level, atmosphere = bool(metadata.get("level")), self.atmospheric_pressure
         try:
-            if isinstance(value, list):
-                return np.asarray([self._si(item, unit, level) for item in value])
-            return self._si(value, unit, level)
+            return si(value, metadata["unit"], level=level, atmospheric_pressure=atmosphere)
         except (ValueError, TypeError) as error:
             raise StudyError(f"{where}: {error}") from error
 
-    def _si(self, value, unit: str, level: bool) -> float:
-        return si(value, unit, level=level, atmospheric_pressure=self.atmospheric_pressure)
+    def numbers(self, value, metadata: dict, where: str):
+        """A number, or an array of them from a list."""
+        if not isinstance(value, list):
+            return self.number(value, metadata, where)
+        return np.asarray([self.number(item, metadata, f"{where}.{i}") for i, item in enumerate(value)])
 
     def driven(self, value, metadata: dict, where: str):
         """A number, the name of an input from {input = "..."}, or a signal from {step = {...}}."""
@@ -124,7 +125,7 @@ class Builder:
         if metadata.get("driven") and driven is None:
             return self.driven(value, metadata, where)
         if "unit" in metadata:
-            return self.number(value, metadata, where)
+            return self.numbers(value, metadata, where)
         if _mentions(hint, AbstractContainer):
             tables = value if isinstance(value, list) else [value]
             return tuple(self.choose(t, (AbstractContainer,), f"{where}.{i}") for i, t in enumerate(tables))

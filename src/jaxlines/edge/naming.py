@@ -3,6 +3,8 @@
 import contextlib
 from typing import NamedTuple
 
+import numpy as np
+
 from jaxlines.edge.building import StudyError, suggest
 from jaxlines.physics.fields import driven_of
 from jaxlines.simulation.assembly import compile_circuit, initial_names
@@ -39,7 +41,7 @@ def names_of(circuit: Circuit) -> Names:
         for name, places in circuit.external_inputs().items()
     }
     with computing_in("float64"):
-        plan, _ = compile_circuit(circuit, None, {name: Constant(0.0) for name in inputs})
+        plan, _ = compile_circuit(circuit, None, {name: Constant(np.asarray(0.0)) for name in inputs})
         known, sensors = quantities(plan), sensor_units(circuit, plan)
     units = {name: q.unit for name, q in known.items()} | sensors
     outputs = {name: {"unit": unit, "level": unit == "Pa"} for name, unit in units.items()}

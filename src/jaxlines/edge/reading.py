@@ -21,14 +21,14 @@ def column_and_unit(spec, where: str) -> tuple[str, str]:
     Raises: ValueError when there is no unit.
     """
     if isinstance(spec, tuple | list) and len(spec) == 2 and all(isinstance(word, str) for word in spec):
-        return spec[0], spec[1]
+        return str(spec[0]), str(spec[1])
     match = _NAME_WITH_UNIT.fullmatch(spec) if isinstance(spec, str) else None
     if match is None:
         raise ValueError(
             f'{where}: column {spec!r} has no unit: use a name with its unit in brackets such as "p [bar_g]", '
             'or name and unit apart, ("p", "bar_g")'
         )
-    return spec, match[2].strip()
+    return match[0], match[2].strip()
 
 
 def _read_table(path: Path):
@@ -67,7 +67,7 @@ def _numbers(series, column: str, path: Path) -> np.ndarray:
         raise ValueError(f"{path}: column {column!r} is there more than once: rename one of them")
     if pandas.api.types.is_bool_dtype(series) or pandas.api.types.is_datetime64_any_dtype(series):
         raise ValueError(f"{path}: column {column!r} holds {series.dtype}, not numbers")
-    numbers = pandas.to_numeric(series, errors="coerce")
+    numbers = pandas.Series(pandas.to_numeric(series, errors="coerce"))
     wrong = series[numbers.isna() & series.notna()]
     if len(wrong):
         cell = str(wrong.iloc[0])

@@ -5,6 +5,7 @@ import importlib.metadata
 import io
 import platform
 import re
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ _INK = "#010203"
 # A colour that nothing else has: it stands for the text colour of the page, whatever that is.
 _POINTS_OF_A_PAGE = 24_000
 _STATUS = {"converged": "good", "at_bound": "fair", "stalled": "fair", "failed": "bad"}
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "jaxlines",
     "font.size": 10,

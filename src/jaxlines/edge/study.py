@@ -75,33 +75,31 @@ class Study:
         Inputs that [simulate.inputs] does not give come from the recording. Raises: StudyError when there are no
         times; as `simulate`.
         """
-        use_recording = self.recording is not None and (on_recording or self.times is None)
-        times = self.recording.times if use_recording else self.times
+        recorded = None if self.recording is None else self.recording.times
+        times = recorded if recorded is not None and (on_recording or self.times is None) else self.times
         if times is None:
             raise StudyError(f'{self.source}: there is nothing to simulate: add a table [simulate] with stop = "1 s"')
         inputs = self._recorded_inputs() | ({} if on_recording else self.inputs)
-        recorded = [name for name in self._channels() if name in self.names.outputs]
-        wanted = dict.fromkeys([*self.names.observed, *self.outputs, *recorded])
+        channels = self.recording.channels if self.recording is not None else {}
+        seen = [name for name in channels if name in self.names.outputs]
+        wanted = dict.fromkeys([*self.names.observed, *self.outputs, *seen])
         return simulate(self.circuit, times, inputs, initial=self._start(), outputs=list(wanted), **self.numerics)
-
-    def _channels(self) -> dict[str, np.ndarray]:
-        """The channels of the recording, if there is one."""
-        return self.recording.channels if self.recording is not None else {}
 
     def _start(self) -> dict[str, float]:
         """Initial values, with the first usable sample where they are "measured"."""
-        start = {}
-        for name, value in self.initial.items():
-            start[name] = self._channels()[name][np.argmax(self.recording.mask[name])] if value == MEASURED else value
+        start = dict(self.initial)
+        if self.recording is not None:
+            for name in [name for name, value in self.initial.items() if value == MEASURED]:
+                start[name] = self.recording.channels[name][np.argmax(self.recording.mask[name])]
         return start
 
     def _recorded_inputs(self) -> dict[str, Any]:
         """The channels of the recording that drive the circuit, without their missing samples."""
-        signals = {}
+        recording, signals = self.recording, {}
         for name in self.names.inputs:
-            if name in self._channels():
-                good = self.recording.mask[name]
-                signals[name] = Sampled(self.recording.times[good], self.recording.channels[name][good])
+            if recording is not None and name in recording.channels:
+                good = recording.mask[name]
+                signals[name] = Sampled(recording.times[good], recording.channels[name][good])
         return signals
 
 

@@ -57,7 +57,7 @@ def base_unit(unit: str) -> str:
 
 def _angle_power(unit) -> float:
     """Power of the radian in a unit, which pint would otherwise let pass as a pure number."""
-    return dict(_registry().Quantity(1, unit).to_root_units().units._units).get("radian", 0)
+    return float(dict(_registry().Quantity(1, unit).to_root_units().units._units).get("radian", 0))
 
 
 def _angle_factor(text: str, given, wanted) -> float:
