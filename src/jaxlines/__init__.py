@@ -12,7 +12,7 @@ if TYPE_CHECKING:  # the public names; each is imported when it is first used (s
     from jaxlines.edge.reading import read_recording as read_recording
     from jaxlines.edge.study import Study as Study, load_study as load_study
     from jaxlines.edge.units import si as si
-    from jaxlines.inference.batch import fit_batch as fit_batch
+    from jaxlines.inference.batch import BatchFit as BatchFit, fit_batch as fit_batch
     from jaxlines.inference.fit import fit as fit
     from jaxlines.inference.parameters import Free as Free, Known as Known
     from jaxlines.inference.recording import Recording as Recording

@@ -1,12 +1,31 @@
 """Signals: inputs as functions of time. Call one at a time t [s] to get its value there."""
 
+import functools
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxlines.physics.fields import AbstractSignal, Number, as_number, is_concrete, quantity
 
 METHODS = ("linear", "cubic", "hold")
+
+
+@jax.custom_jvp
+def jump_time(time):
+    """The time of a jump, which has no derivative here: asking for one is an error, not a silent zero."""
+    return time
+
+
+@functools.partial(jump_time.defjvp, symbolic_zeros=True)
+def _jump_time_jvp(primals, tangents):
+    if not isinstance(tangents[0], jax.custom_derivatives.SymbolicZero):
+        raise NotImplementedError(
+            "the time of a jump (Step.time, or the delay of a signal that is held) cannot be differentiated: "
+            'use a Sampled signal with method="cubic" and its delay'
+        )
+    return primals[0], jnp.zeros_like(primals[0])
 
 
 class Constant(AbstractSignal):
@@ -26,10 +45,10 @@ class Step(AbstractSignal):
     time: Number = quantity("s")
 
     def __call__(self, t):
-        return jnp.where(t < self.time, self.before, self.after)
+        return jnp.where(t < jump_time(self.time), self.before, self.after)
 
     def jump_times(self):
-        return self.time[None] if is_concrete(self.time) else jnp.asarray(self.time)[None]
+        return self.time[None]
 
 
 class Sine(AbstractSignal):
@@ -76,13 +95,16 @@ class Sampled(AbstractSignal):
             raise ValueError(f"values of a sampled signal must be finite; sample {at} is {self.values[at]}")
 
     def __call__(self, t):
-        times, values, t = jnp.asarray(self.times), jnp.asarray(self.values), t - self.delay
+        times, values = jnp.asarray(self.times), jnp.asarray(self.values)
+        t = t - (jump_time(self.delay) if self.method == "hold" else self.delay)
         # A full comparison is one vectorised pass; a binary search is a loop of tiny operations on XLA's CPU.
         index = jnp.clip(jnp.sum(times <= t) - 1, 0, times.size - 2)
         if self.method == "hold":
             return jnp.where(t >= times[-1], values[-1], values[index])
         width, rise = times[index + 1] - times[index], values[index + 1] - values[index]
-        share = jnp.clip((t - times[index]) / width, 0.0, 1.0)
+        # Not clip: its derivative is halved where the solver lands exactly on a sample.
+        share = (t - times[index]) / width
+        share = jnp.where(t < times[0], 0.0, jnp.where(t > times[-1], 1.0, share))
         if self.method == "linear":
             return values[index] + share * rise
         first, last = (_monotone_slope(times, values, i) * width for i in (index, index + 1))

@@ -91,14 +91,15 @@ def _controller(values: Values, tolerance) -> diffrax.AbstractStepSizeController
     """Adaptive steps that end on every jump and kink of the inputs.
 
     A step across samples of a noisy input can pass the error test by luck; ending on the samples makes the
-    field smooth within each step, so that the tolerance means what it says.
+    field smooth within each step, so that the tolerance means what it says. Where steps end does not change the
+    solution, so that these times carry no derivative (it would grow from step to step).
     """
     controller = diffrax.PIDController(rtol=tolerance, atol=tolerance, pcoeff=0.3, icoeff=0.3)
     jumps = [jnp.ravel(s.jump_times()) for s in values.signals if np.size(s.jump_times())]
     knots = [jnp.ravel(s.knot_times()) for s in values.signals if np.size(s.knot_times())]
     if not jumps and not knots:
         return controller
-    times = [jnp.sort(jnp.concatenate(group)) if group else None for group in (knots, jumps)]
+    times = [jax.lax.stop_gradient(jnp.sort(jnp.concatenate(g))) if g else None for g in (knots, jumps)]
     return diffrax.ClipStepSizeController(controller, step_ts=times[0], jump_ts=times[1])
 
 
