@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -94,6 +95,15 @@ def test_check_shows_what_is_there(study):
         "distance from the recording before any fit",
     ):  # fmt: skip
         assert words in result.stdout
+
+
+def test_check_without_a_recording_takes_the_inputs_of_the_file(study, tmp_path):
+    text = Path(study).read_text()
+    path = tmp_path / "plain.toml"
+    path.write_text(text[: text.index("[recording]")] + text[text.index("[simulate]") :])
+    result = run(app, ["check", str(path), "--quiet"])
+    assert result.exit_code == 0, result.output
+    assert "ok: 0 s to 2 s, 50 samples" in result.stdout
 
 
 def one_line(result, code, *words):
@@ -194,6 +204,7 @@ def test_unwritable_home_means_no_cache(monkeypatch, tmp_path):
 
 ENTRY = """
 import sys
+from pathlib import Path
 sys.argv = ["jaxlines", "--version"]
 from jaxlines.edge.main import main
 try:

@@ -71,7 +71,7 @@ class Study:
     def simulate(self, *, on_recording: bool = False) -> Simulation:
         """Simulate with the numbers of the file, over the times of [simulate] or else of the recording.
 
-        Args: on_recording: over the recording even when there is a table [simulate].
+        Args: on_recording: prefer times, inputs and start pressures of the recording, as a fit does.
         Inputs that [simulate.inputs] does not give come from the recording. Raises: StudyError when there are no
         times; as `simulate`.
         """
@@ -79,18 +79,23 @@ class Study:
         times = recorded if recorded is not None and (on_recording or self.times is None) else self.times
         if times is None:
             raise StudyError(f'{self.source}: there is nothing to simulate: add a table [simulate] with stop = "1 s"')
-        inputs = self._recorded_inputs() | ({} if on_recording else self.inputs)
+        measured = self._recorded_inputs()
+        inputs = self.inputs | measured if on_recording else measured | self.inputs
         channels = self.recording.channels if self.recording is not None else {}
         seen = [name for name in channels if name in self.names.outputs]
         wanted = dict.fromkeys([*self.names.observed, *self.outputs, *seen])
-        return simulate(self.circuit, times, inputs, initial=self._start(), outputs=list(wanted), **self.numerics)
+        start = self._start(on_recording)
+        return simulate(self.circuit, times, inputs, initial=start, outputs=list(wanted), **self.numerics)
 
-    def _start(self) -> dict[str, float]:
-        """Initial values, with the first usable sample where they are "measured"."""
-        start = dict(self.initial)
-        if self.recording is not None:
-            for name in [name for name, value in self.initial.items() if value == MEASURED]:
-                start[name] = self.recording.channels[name][np.argmax(self.recording.mask[name])]
+    def _start(self, on_recording: bool) -> dict[str, float]:
+        """Initial values, with the first usable sample where they are "measured" (or not given, on a recording)."""
+        start, recording = dict(self.initial), self.recording
+        if recording is None:
+            return start
+        for name in self.names.initial:
+            implied = on_recording and name not in start and name in recording.channels
+            if implied or start.get(name) == MEASURED:
+                start[name] = float(recording.channels[name][np.argmax(recording.mask[name])])
         return start
 
     def _recorded_inputs(self) -> dict[str, Any]:
@@ -117,6 +122,15 @@ def _read_recording(
         name: values - atmosphere if is_gauge(circuit, name) else values for name, values in recording.channels.items()
     }
     return dataclasses.replace(recording, channels=channels)
+
+
+def _noise(given: dict, names: Names, builder: Builder) -> dict[str, float]:
+    """Standard deviations of the noise in SI."""
+    noise = {}
+    for name, value in given.items():
+        metadata = {**look_up(name, names.outputs, "recording.noise", "output"), "level": False}
+        noise[name] = builder.number(value, metadata, f"recording.noise.{name}")
+    return noise
 
 
 def _parameters(table: FitTable, circuit: Circuit, names: Names, builder: Builder) -> tuple[tuple, tuple]:
@@ -186,12 +200,7 @@ def _build(content: dict, folder: Path, source: str) -> Study:
     recording, found = None, {}
     if layout.recording is not None:
         recording = _read_recording(layout.recording, folder, circuit, names, builder.atmospheric_pressure)
-        found["noise"] = {
-            name: builder.number(
-                value, {**look_up(name, names.outputs, "recording.noise", "output"), "level": False}, f"noise.{name}"
-            )
-            for name, value in layout.recording.noise.items()
-        }
+        found["noise"] = _noise(layout.recording.noise, names, builder)
     if layout.fit is not None:
         found["free"], found["known"] = _parameters(layout.fit, circuit, names, builder)
         found["fit_options"] = layout.fit.model_dump(include={"derived", "starts", "seed"})

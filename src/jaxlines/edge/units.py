@@ -8,6 +8,7 @@ by `level=True` where they are declared.
 import functools
 import math
 import re
+from typing import Any
 
 from jaxlines.physics.fields import ATMOSPHERE
 
@@ -55,9 +56,11 @@ def base_unit(unit: str) -> str:
     return "1" if base.dimensionless and not str(base).count("radian") else f"{base:~C}".replace("**", "^")
 
 
-def _angle_power(unit) -> float:
+def _angle_power(unit):
     """Power of the radian in a unit, which pint would otherwise let pass as a pure number."""
-    return float(dict(_registry().Quantity(1, unit).to_root_units().units._units).get("radian", 0))
+    root = _registry().Quantity(1, unit).to_root_units()
+    power: Any = dict(root.unit_items()).get("radian", 0)
+    return power
 
 
 def _angle_factor(text: str, given, wanted) -> float:
