@@ -61,7 +61,7 @@ def _sentences(console: Console, heading: str, sentences) -> None:
     if sentences:
         console.print(f"\n[bold]{heading}[/bold]")
         for sentence in sentences:
-            console.print(f"  - {escape(sentence)}")
+            console.print(f"  - {escape(sentence)}", soft_wrap=not console.is_terminal)
 
 
 def show_fit(fit: Fit, title: str) -> None:
