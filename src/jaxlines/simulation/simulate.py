@@ -41,7 +41,11 @@ class Method(NamedTuple):
 
     def adjoint(self) -> diffrax.AbstractAdjoint:
         """How derivatives are taken: forward mode refuses reverse and the other way round."""
-        return diffrax.ForwardMode() if self.gradient == "forward" else diffrax.RecursiveCheckpointAdjoint()
+        if self.gradient == "forward":
+            return diffrax.ForwardMode()
+        # A checkpoint for every step, so that none is replayed: a replay differs in its last bits, now and then
+        # accepts a step that was rejected, and from there the gradient is wrong (1 to 40 % were seen).
+        return diffrax.RecursiveCheckpointAdjoint(checkpoints=self.max_steps)
 
 
 def make_method(solver, gradient: str, max_steps: int) -> Method:
