@@ -123,7 +123,7 @@ def test_flow_of_a_line_is_what_enters_its_node():
     line = sim.validity().lines[0]
     resistance = 128 * 27.7e-6 * 850 * 10 / (np.pi * (0.815 * 0.0254) ** 4)
     assert line.friction_drop == pytest.approx(2e-4 * resistance, rel=1e-9)
-    assert line.inertia_drop < 1e-6 * line.friction_drop
+    assert line.inertia_drop == pytest.approx(0.0, abs=1e-3)
 
 
 def test_validity_needs_its_outputs():

@@ -5,7 +5,6 @@ the shape (count, [lanes]); `evaluate` then runs once per kind, element by eleme
 hashable, so one program serves all values of a topology.
 """
 
-import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -13,40 +12,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlines.physics.component import DOMAINS, AbstractComponent, Contribution, Situation, State
-from jaxlines.physics.fields import AbstractSignal, External, array_module, driven_of, ports_of
+from jaxlines.physics.component import DOMAINS, AbstractComponent, Contribution, Situation
+from jaxlines.physics.fields import AbstractSignal, External, array_module, driven_of
 from jaxlines.physics.fluids import Oil
 from jaxlines.physics.sensors import AbstractSensor
 from jaxlines.simulation.circuit import Circuit
 from jaxlines.simulation.paths import leaf_paths
-
-
-class PortPlan(NamedTuple):
-    """Where a port of a kind is attached: indices into the free or the fixed nodes, one per member."""
-
-    name: str
-    domain: str
-    fixed: bool
-    index: tuple[int, ...]
-
-
-class Kind(NamedTuple):
-    """Components that are evaluated together."""
-
-    members: tuple[str, ...]
-    ports: tuple[PortPlan, ...]
-    signals: tuple[tuple[str, tuple[int, ...]], ...]
-    states: tuple[State, ...]
-
-
-class FixedNode(NamedTuple):
-    """A node whose potential is given: by a signal (kind < 0: index is the signal's), or by a packed leaf."""
-
-    name: str
-    domain: str
-    kind: int
-    field: str
-    index: int
+from jaxlines.simulation.wiring import FixedNode, Kind, Wiring, anonymous, group_kinds, plan_fixed, plan_kind
 
 
 class Plan(NamedTuple):
@@ -79,89 +51,10 @@ class Values(eqx.Module):
     initial: Initial
 
 
-def _copy_with(module, changes: dict):
-    """A copy of a module with some fields set, without conversion or checks."""
-    new = object.__new__(type(module))
-    for field in dataclasses.fields(module):
-        object.__setattr__(new, field.name, changes.get(field.name, getattr(module, field.name)))
-    return new
-
-
-def _anonymous(component: AbstractComponent) -> AbstractComponent:
-    """The component without node names and signals: what members of a kind have in common."""
-    blank: dict = dict.fromkeys(ports_of(component), "")
-    blank |= {f: None for f in driven_of(component) if isinstance(getattr(component, f), AbstractSignal)}
-    return _copy_with(component, blank)
-
-
 def _stack(*leaves):
     """Leaves of the members of a kind, side by side."""
     xp = array_module(*leaves)
     return xp.stack([xp.asarray(leaf) for leaf in leaves])
-
-
-class _Wiring:
-    """Collects nodes and signals of a circuit while its kinds are planned."""
-
-    def __init__(self, circuit: Circuit):
-        self.fixed = circuit.fixed_nodes()
-        nodes = circuit.nodes()
-        self.free_names = [name for name in nodes if name not in self.fixed]
-        self.fixed_names = [name for name in nodes if name in self.fixed]
-        self.nodes = nodes
-        self.signals: dict[Any, AbstractSignal] = {}
-
-    def port(self, component, port: str) -> tuple[bool, int]:
-        """Whether the node at a port is fixed, and its index."""
-        node = getattr(component, port)
-        return (True, self.fixed_names.index(node)) if node in self.fixed else (False, self.free_names.index(node))
-
-    def signal(self, owner: str, field: str, signal: AbstractSignal) -> int:
-        """Index of a signal; external inputs of one name are one signal."""
-        key = signal.name if isinstance(signal, External) else (owner, field)
-        self.signals.setdefault(key, signal)
-        return list(self.signals).index(key)
-
-
-def _group(circuit: Circuit, wiring: _Wiring) -> list[dict[str, AbstractComponent]]:
-    """Components grouped into kinds, in the order of first appearance."""
-    groups: dict[Any, dict[str, AbstractComponent]] = {}
-    for name, part in circuit.parts().items():
-        fixed = tuple(wiring.port(part, port)[0] for port in ports_of(part))
-        shapes = tuple(np.shape(leaf) for leaf in jax.tree.leaves(_anonymous(part)))
-        key = (jax.tree.structure(_anonymous(part)), fixed, shapes)
-        groups.setdefault(key, {})[name] = part
-    return list(groups.values())
-
-
-def _plan_kind(members: dict[str, AbstractComponent], wiring: _Wiring) -> Kind:
-    """Attach the ports and the signals of a kind."""
-    first = next(iter(members.values()))
-    ports = []
-    for port, domain in ports_of(first).items():
-        places = [wiring.port(part, port) for part in members.values()]
-        ports.append(PortPlan(port, domain, places[0][0], tuple(index for _, index in places)))
-    signals = []
-    for field in driven_of(first):
-        if isinstance(getattr(first, field), AbstractSignal):
-            index = tuple(wiring.signal(name, field, getattr(part, field)) for name, part in members.items())
-            signals.append((field, index))
-    return Kind(tuple(members), tuple(ports), tuple(signals), first.states)
-
-
-def _plan_fixed(circuit: Circuit, wiring: _Wiring, kinds: list[Kind]) -> tuple[FixedNode, ...]:
-    """Where the potential of each fixed node comes from."""
-    fixed = []
-    for node in wiring.fixed_names:
-        owner, field = wiring.fixed[node]
-        value = getattr(circuit.components[owner], field)
-        if isinstance(value, AbstractSignal):
-            place = (-1, wiring.signal(owner, field, value))
-        else:
-            kind = next(k for k, kind in enumerate(kinds) if owner in kind.members)
-            place = (kind, kinds[kind].members.index(owner))
-        fixed.append(FixedNode(node, wiring.nodes[node], place[0], field, place[1]))
-    return tuple(fixed)
 
 
 def _incidence(kinds, contributions: list[dict], num_nodes: int):
@@ -190,7 +83,8 @@ def _require_capacity(plan: Plan) -> None:
         if index not in has:
             remedy = {"hydraulic": "a Line (a Vessel is a plain volume), or a PressureSource"}.get(domain, "an Inertia")
             raise ValueError(
-                f"{domain} node {node!r} has no capacity, so that its {DOMAINS[domain].potential} is undetermined: attach {remedy}"
+                f"{domain} node {node!r} has no capacity, so that its {DOMAINS[domain].potential} is undetermined: "
+                f"attach {remedy}"
             )
 
 
@@ -201,12 +95,12 @@ def compile_circuit(circuit: Circuit, initial: dict | None = None, inputs: dict 
         inputs: name -> signal for the circuit's external inputs (all of them).
     Raises: ValueError for a node without capacity; KeyError for an unknown initial value.
     """
-    wiring = _Wiring(circuit)
-    groups = _group(circuit, wiring)
-    kinds = [_plan_kind(members, wiring) for members in groups]
-    fixed = _plan_fixed(circuit, wiring, kinds)
+    wiring = Wiring(circuit)
+    groups = group_kinds(circuit, wiring)
+    kinds = [plan_kind(members, wiring) for members in groups]
+    fixed = plan_fixed(circuit, wiring, kinds)
     free = tuple((name, wiring.nodes[name]) for name in wiring.free_names)
-    packed = tuple(jax.tree.map(_stack, *(_anonymous(part) for part in members.values())) for members in groups)
+    packed = tuple(jax.tree.map(_stack, *(anonymous(part) for part in members.values())) for members in groups)
     signals = tuple((inputs or {})[s.name] if isinstance(s, External) else s for s in wiring.signals.values())
     names = tuple(key if isinstance(key, str) else ".".join(key) for key in wiring.signals)
     plan = Plan(tuple(kinds), free, fixed, names, (), (), (), ())

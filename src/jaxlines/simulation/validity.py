@@ -103,15 +103,16 @@ def _waves(line: LineValidity) -> str:
 
 def _drops(line: LineValidity) -> str:
     """Friction and inertia drop, in words."""
-    if line.friction_drop is None:
+    friction, inertia, reynolds = line.friction_drop, line.inertia_drop, line.reynolds_number
+    if friction is None or inertia is None or reynolds is None:
         return "it has no pipes, so that friction and inertia drops are unknown"
+    pressure = abs(line.median_pressure)
     text = (
-        f"friction drop {1e-3 * line.friction_drop:.3g} kPa ({100 * line.relative_friction_drop:.2g} %), inertia drop "
-        f"{1e-3 * line.inertia_drop:.3g} kPa ({100 * line.relative_inertia_drop:.2g} %) "
-        f"of {1e-6 * line.median_pressure:.3g} MPa"
+        f"friction drop {1e-3 * friction:.3g} kPa ({100 * friction / pressure:.2g} %), inertia drop "
+        f"{1e-3 * inertia:.3g} kPa ({100 * inertia / pressure:.2g} %) of {1e-6 * pressure:.3g} MPa"
     )
-    turbulent = f"; the flow is turbulent (Re = {line.reynolds_number:.0f}), so that the friction drop is larger"
-    return text + turbulent * (line.reynolds_number > LAMINAR_LIMIT)
+    turbulent = f"; the flow is turbulent (Re = {reynolds:.0f}), so that the friction drop is larger"
+    return text + turbulent * (reynolds > LAMINAR_LIMIT)
 
 
 def spectral_edge(times, values, fraction: float = 0.99) -> float:
