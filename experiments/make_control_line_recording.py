@@ -244,7 +244,7 @@ def save_json(path, content):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--out", type=Path, required=True, help="folder for the files written")
     parser.add_argument("--noise-free", action="store_true", help="sampled, but perfect sensors")
     args = parser.parse_args()

@@ -202,4 +202,4 @@ def test_wrong_numbers_are_refused(make, message):
 
 def test_a_port_is_a_name():
     with pytest.raises(TypeError, match=r"Tank\.node must be the name of a node, got"):
-        jl.Tank(101325.0)
+        jl.Tank(101325.0)  # pyright: ignore[reportArgumentType]

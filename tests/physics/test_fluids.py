@@ -30,7 +30,8 @@ DIGIT = 5e-5  # half of the last digit of the modulus table [MPa]
 
 
 def oil(**changes) -> Oil:
-    return Oil(**{"bulk_modulus": 1.5e9, "density": 850.0} | changes)
+    given: dict = {"bulk_modulus": 1.5e9, "density": 850.0}
+    return Oil(**given | changes)
 
 
 def numbers(text: str) -> np.ndarray:

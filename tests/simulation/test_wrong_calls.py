@@ -70,7 +70,7 @@ def test_wrong_options(circuit):
     with pytest.raises(ValueError, match='precision must be "float64" or "float32", got \'float16\''):
         jl.simulate(circuit, TIMES, {"flow": 0.0}, precision="float16")
     with pytest.raises(TypeError, match=r"solver must be a diffrax solver .* got 'Tsit5'"):
-        jl.simulate(circuit, TIMES, {"flow": 0.0}, solver="Tsit5")
+        jl.simulate(circuit, TIMES, {"flow": 0.0}, solver="Tsit5")  # pyright: ignore[reportArgumentType]
     with pytest.raises(KeyError, match=r"B\.pressure.*A\.pressure"):
         jl.simulate(circuit, TIMES, {"flow": 0.0}, initial={"B.pressure": 1e6})
     with pytest.raises(KeyError, match=r"no output is called 'A\.presure'; did you mean A\.pressure"):
@@ -123,7 +123,7 @@ def test_wrong_circuits(components, error, message):
 
 def test_a_circuit_begins_with_its_fluid():
     with pytest.raises(TypeError, match="the first argument of a Circuit is its fluid, got dict"):
-        jl.Circuit({}, OIL)
+        jl.Circuit({}, OIL)  # pyright: ignore[reportArgumentType]
 
 
 def test_a_sensor_of_nothing_is_refused():

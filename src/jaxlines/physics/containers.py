@@ -90,8 +90,8 @@ class Vessel(AbstractContainer):
         """
         if effective_modulus > fluid_modulus:
             raise ValueError(
-                f"effective_modulus must not exceed the fluid's, got {effective_modulus:g} Pa and {fluid_modulus:g} Pa: "
-                "were they swapped?"
+                f"effective_modulus must not exceed the fluid's, got {effective_modulus:g} Pa and "
+                f"{fluid_modulus:g} Pa: were they swapped?"
             )
         compliance = 1.0 / np.float64(effective_modulus) - 1.0 / np.float64(fluid_modulus)
         return Vessel(volume=volume, wall_modulus=np.inf if compliance == 0 else 1.0 / compliance)

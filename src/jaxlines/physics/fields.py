@@ -6,15 +6,19 @@ likely slip) is what study files, error messages and reports read, so that it is
 """
 
 import dataclasses
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
-Number = Float[Array | np.ndarray, "..."]
+if TYPE_CHECKING:  # a type checker does not see that a converter makes arrays of plain numbers
+    Number = Any
+else:
+    Number = Float[Array | np.ndarray, "..."]
 """A physical number: a scalar leaf, or an array of them where components of a kind are evaluated together."""
 
 HYDRAULIC, ROTATIONAL, TRANSLATIONAL = "hydraulic", "rotational", "translational"
@@ -48,7 +52,7 @@ class External(AbstractSignal):
         raise TypeError(f"input {self.name!r} has no value of its own: pass inputs={{{self.name!r}: ...}}")
 
 
-def as_number(value: Any):
+def as_number(value: Any) -> Any:
     """A float64 NumPy array, or the JAX array or tracer itself. Text is refused."""
     if isinstance(value, jax.Array | np.ndarray) or value is None:
         return value
@@ -116,14 +120,14 @@ def driven_of(module) -> dict[str, dict]:
     return {f.name: dict(f.metadata) for f in dataclasses.fields(module) if f.metadata.get("driven")}
 
 
-def array_module(*trees):
+def array_module(*trees) -> Any:
     """NumPy when every leaf is a plain number, so that formulas on the host stay in float64; else jax.numpy."""
     return jnp if any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(trees)) else np
 
 
 def is_concrete(value) -> bool:
     """Whether a value can be looked at now (it is not being traced by JAX)."""
-    return not isinstance(value, jax.core.Tracer)
+    return not isinstance(value, Tracer)
 
 
 def check_range(name: str, value, metadata: dict) -> None:

@@ -31,7 +31,7 @@ class Line(AbstractComponent):
     """
 
     node: str = port()
-    parts: tuple[AbstractContainer, ...] = eqx.field(converter=_as_parts)
+    parts: tuple[AbstractContainer, ...] = eqx.field(converter=_as_parts)  # pyright: ignore[reportGeneralTypeIssues]
     path_length: Number = quantity("m", low=0.0, high=1e5, slip="was it given in mm?", default=0.0)
 
     def __check_init__(self):

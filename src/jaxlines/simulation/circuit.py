@@ -1,6 +1,7 @@
 """A circuit: named components attached to named nodes, filled with one fluid."""
 
 import dataclasses
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -111,7 +112,7 @@ class Circuit(eqx.Module):
 def field_metadata(circuit: Circuit, path: str) -> dict:
     """Unit, range and slip of the number at a full path; empty where none is declared."""
     owner_name, *words = path.split(".")
-    owner = circuit.fluid if owner_name == "fluid" else circuit.components[owner_name]
+    owner: Any = circuit.fluid if owner_name == "fluid" else circuit.components[owner_name]
     driven: dict = {}
     for word in words[:-1]:
         if word.isdigit():

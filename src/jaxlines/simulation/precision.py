@@ -4,13 +4,14 @@ import contextlib
 
 import jax
 import numpy as np
+from jax.core import Tracer
 
 PRECISIONS = ("float64", "float32")
 
 
 def is_traced(*trees) -> bool:
     """Whether any leaf is being traced by JAX (inside the user's jit, grad or vmap)."""
-    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(trees))
+    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
 
 
 def computing_in(precision: str, *trees):
@@ -23,7 +24,7 @@ def computing_in(precision: str, *trees):
         raise ValueError(f'precision must be "float64" or "float32", got {precision!r}')
     if not is_traced(*trees):
         return jax.enable_x64(precision == "float64")
-    if precision == "float64" and not jax.config.jax_enable_x64:
+    if precision == "float64" and not jax.config.read("jax_enable_x64"):
         raise RuntimeError(
             "this call is inside traced code (jit, grad or vmap) while JAX is set to float32; wrap the outer call "
             'in `with jax.enable_x64(True):`, or pass precision="float32" if that is what you want'

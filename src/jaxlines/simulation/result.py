@@ -13,10 +13,12 @@ from jaxlines.simulation.validity import Validity, check_validity, lines_to_chec
 
 MESSAGES = {
     "ok": "the trajectory was computed to the tolerance",
-    "max_steps": "the step limit was reached: the circuit may be stiff (try solver=jaxlines.implicit()), or raise max_steps",
+    "max_steps": "the step limit was reached: the circuit may be stiff (try solver=jaxlines.implicit()), "
+    "or raise max_steps",
     "solver_failed": "the solver could not find a step: the circuit may be stiff (try solver=jaxlines.implicit())",
     "non_finite": "an output is not finite: look for an extreme parameter",
-    "tension": "a pressure fell below the vapour pressure of an air-free liquid, which would cavitate: give the fluid an air_fraction",
+    "tension": "a pressure fell below the vapour pressure of an air-free liquid, which would cavitate: "
+    "give the fluid an air_fraction",
 }
 STATUS = {name: code for code, name in enumerate(MESSAGES)}
 
