@@ -31,8 +31,9 @@ if TYPE_CHECKING:  # the public names; each is imported when it is first used (s
     from jaxlines.physics.servovalve import Servovalve as Servovalve
     from jaxlines.physics.sources import FlowSource as FlowSource, PressureSource as PressureSource, Tank as Tank
     from jaxlines.simulation.circuit import Circuit as Circuit
+    from jaxlines.simulation.integration import implicit as implicit
     from jaxlines.simulation.signals import Constant as Constant, Sampled as Sampled, Sine as Sine, Step as Step
-    from jaxlines.simulation.simulate import implicit as implicit, simulate as simulate
+    from jaxlines.simulation.simulate import simulate as simulate
 
 
 @functools.cache

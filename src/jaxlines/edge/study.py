@@ -17,10 +17,11 @@ from jaxlines.inference.fit_result import Fit
 from jaxlines.inference.parameters import Free, Known
 from jaxlines.inference.recording import Recording
 from jaxlines.simulation.circuit import Circuit
+from jaxlines.simulation.integration import implicit
 from jaxlines.simulation.observation import is_gauge
 from jaxlines.simulation.result import Simulation
 from jaxlines.simulation.signals import Sampled
-from jaxlines.simulation.simulate import implicit, simulate
+from jaxlines.simulation.simulate import simulate
 
 EXAMPLE = "example:"
 MEASURED = "measured"

@@ -11,12 +11,14 @@ from jaxlines.inference.search import Failed, Found, search
 from jaxlines.inference.uncertainty import (
     NORMAL_95,
     NORMAL_ONE_SIDED_95,
+    UNINFORMED,
     WHITE_LIMIT,
     Covariance,
     Estimate,
     covariance,
     describe_correlations,
     describe_open_directions,
+    is_open,
     ljung_box,
     make_estimate,
 )
@@ -43,11 +45,12 @@ class ChannelFit(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Analysis:
-    """Uncertainty of a fit. `steps`: d value / d analysis coordinate of each free parameter."""
+    """Uncertainty of a fit. `steps`: d value / d coordinate of each free parameter; `widths`: of their bounds."""
 
     estimates: dict[str, Estimate]
     covariance: Covariance
     steps: np.ndarray
+    widths: np.ndarray
     correlations: np.ndarray
     identifiability: tuple[str, ...]
     warnings: tuple[str, ...]
@@ -58,15 +61,15 @@ def _weighted(problem: Problem, slopes, sigma) -> np.ndarray:
     return (slopes / sigma[:, None])[problem.used]
 
 
-def _undetected(problem: Problem, found: Found, weighted, known_sd) -> tuple[np.ndarray, np.ndarray]:
-    """Which parameters cannot be told from their physical zero, and standard deviations in linear coordinates."""
+def _undetected(problem: Problem, found: Found, weighted, known_sd) -> np.ndarray:
+    """Which parameters cannot be told from their physical zero, judged in linear coordinates."""
     count = len(problem.free)
     widths = np.array([f.bounds[1] - f.bounds[0] for f in problem.free])
     linear = covariance(weighted[:, :count], weighted[:, count:], widths, known_sd)
     sd = np.sqrt(np.diag(linear.joint)[:count])
     zero = np.array([number_metadata(problem.circuit, f.paths[0]).get("low") == 0.0 for f in problem.free])
     inside = found.values + NORMAL_ONE_SIDED_95 * sd < np.array([f.bounds[1] for f in problem.free])
-    return zero & (found.values <= NORMAL_95 * sd) & inside, sd
+    return zero & (found.values <= NORMAL_95 * sd) & inside
 
 
 def analyse(problem: Problem, found: Found, sigma: np.ndarray) -> Analysis:
@@ -78,7 +81,7 @@ def analyse(problem: Problem, found: Found, sigma: np.ndarray) -> Analysis:
     count, labels = len(problem.free), [f.label for f in problem.free]
     known_sd = np.array([k.sd for k in problem.known])
     weighted = _weighted(problem, found.slopes, sigma)
-    undetected, linear_sd = _undetected(problem, found, weighted, known_sd)
+    undetected = _undetected(problem, found, weighted, known_sd)
     pairs = list(zip(problem.free, found.values, undetected, strict=True))
     steps = np.array([1.0 if linear else float(f.slope(v)) for f, v, linear in pairs])
     ranges = [f.bounds if linear else f.coordinate_bounds() for f, _, linear in pairs]
@@ -88,16 +91,17 @@ def analyse(problem: Problem, found: Found, sigma: np.ndarray) -> Analysis:
     estimates = {}
     for i, (parameter, value, linear) in enumerate(pairs):
         unit = number_metadata(problem.circuit, parameter.paths[0]).get("unit", "1")
-        estimates[parameter.label] = make_estimate(
-            parameter, float(value), float(sd[i]), float(result.open_share[i]), unit, float(linear_sd[i]), bool(linear)
-        )
+        kind = "unidentified" if is_open(result.open_share[i], sd[i], UNINFORMED * widths[i]) else "interval"
+        kind = "upper_limit" if linear else kind
+        estimates[parameter.label] = make_estimate(parameter, float(value), float(sd[i]), unit, kind)
     correlations = result.joint[:count, :count] / np.outer(sd, sd)
     return Analysis(
         estimates=estimates,
         covariance=result,
         steps=steps,
+        widths=widths,
         correlations=correlations,
-        identifiability=describe_open_directions(labels, result),
+        identifiability=describe_open_directions(labels, result, widths),
         warnings=describe_correlations(labels, correlations),
     )
 
@@ -129,22 +133,38 @@ def influences(
     inverse = np.linalg.pinv(jacobian * widths, rcond=1e-6) * widths[:, None]
     firm = np.array([e.kind == "interval" and e.value != 0.0 for e in analysis.estimates.values()])
     labels, taken = list(analysis.estimates), {p for f in problem.free for p in f.paths}
-    for path, location in number_locations(problem.plan, problem.values).items():
-        leaf = np.asarray(jax.tree.leaves(problem.values)[location[0]])
-        number = leaf if location[1] is None else leaf[location[1]]
-        if path in taken or path.startswith("initial.") or number.ndim or not np.isfinite(number) or number == 0.0:
-            continue
-        moved = dataclasses.replace(problem, values=set_on_host(problem.values, location, factor=1.01))
-        change = ((moved.predict(found.values) - found.simulated) / sigma)[problem.used]
-        if not np.all(np.isfinite(change)):
+    sds = {k.path: k.sd for k in problem.known}
+    for path, difference in _one_percent_differences(problem, found).items():
+        change = (difference / sigma)[problem.used]
+        if path in taken or not np.all(np.isfinite(change)):
             continue
         percent = -(inverse @ change) * analysis.steps / np.where(found.values == 0.0, 1.0, found.values) * 100.0
         affected = [f"{labels[i]} by {percent[i]:+.2g} %" for i in np.flatnonzero(firm & (np.abs(percent) > limit))]
         if affected:
-            sds = {k.path: k.sd for k in problem.known}
-            how = f"with standard uncertainty {sds[path]:.2g}" if path in sds else "taken as exact"
+            how = f"known with standard uncertainty {sds[path]:.2g}" if path in sds else "taken as exact"
             sentences.append(f"{path} is {how}: 1 % more in it moves {', '.join(affected)}")
     return tuple(sentences)
+
+
+def _one_percent_differences(problem: Problem, found: Found) -> dict[str, np.ndarray]:
+    """Path -> change of the simulated channels for 1 % more in each fixed, non-zero number of the circuit."""
+    count, differences = len(problem.free), {}
+    for i, number in enumerate(problem.known):
+        differences[number.path] = found.slopes[..., count + i] * 0.01 * problem.known_values[i]
+    for path, location in number_locations(problem.plan, problem.values).items():
+        leaf = np.asarray(jax.tree.leaves(problem.values)[location[0]])
+        number = leaf if location[1] is None else leaf[location[1]]
+        if (
+            path in differences
+            or path.startswith("initial.")
+            or number.ndim
+            or not np.isfinite(number)
+            or number == 0.0
+        ):
+            continue
+        moved = dataclasses.replace(problem, values=set_on_host(problem.values, location, factor=1.01))
+        differences[path] = moved.predict(found.values) - found.simulated
+    return differences
 
 
 def _measured_flow_sentence(problem: Problem) -> str:
@@ -155,7 +175,7 @@ def _measured_flow_sentence(problem: Problem) -> str:
         if any(driven_of(problem.circuit.components[c])[f]["unit"] == "m^3/s" for c, f in places)
     ]
     if flows:
-        return f"the measured flow {', '.join(flows)} and the numbers below fix the scale of volumes"
+        return f"the measured flow {', '.join(map(repr, flows))} and the numbers below fix the scale of volumes"
     return (
         "no flow was measured: pressure alone fixes only the ratio of modulus to volume times flow, so that the scale "
         "rests on the numbers below"

@@ -19,10 +19,10 @@ from jaxlines.inference.search import judge
 from jaxlines.inference.uncertainty import covariance
 from jaxlines.simulation.assembly import number_locations
 from jaxlines.simulation.circuit import Circuit
+from jaxlines.simulation.integration import make_method
 from jaxlines.simulation.paths import resolve
 from jaxlines.simulation.precision import cast, computing_in
 from jaxlines.simulation.result import STATUS
-from jaxlines.simulation.simulate import make_method
 
 LANES = 32
 """Lanes a call: enough to use vector units, few enough that a slow lane holds up few others."""
@@ -35,8 +35,10 @@ def _predict_lanes(plan, wanted, method, locations, numbers, values, times, tole
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1, 2, 3, 4))
-def _sensitivities_lanes(plan, wanted, method, locations, groups, numbers, values, times, tolerance):
-    one = functools.partial(sensitivity, plan, wanted, method, locations, groups, tolerance=tolerance)
+def _sensitivities_lanes(plan, wanted, method, locations, groups, numbers, sizes, values, times, tolerance):
+    def one(numbers, values, times):
+        return sensitivity(plan, wanted, method, locations, groups, numbers, sizes, values, times, tolerance)
+
     return jax.vmap(one)(numbers, values, times)
 
 
@@ -60,7 +62,7 @@ class Batch:
         """The free parameters, the same in every lane."""
         return self.first.free
 
-    def _call(self, program, static, numbers: np.ndarray, lanes: np.ndarray) -> list[np.ndarray]:
+    def _call(self, program, static, numbers: np.ndarray, lanes: np.ndarray, *extra) -> list[np.ndarray]:
         """Run a program over some lanes in chunks of one size; failed lanes are NaN."""
         pieces = []
         repeats = [len(group) for group in self.first.groups]
@@ -69,7 +71,7 @@ class Batch:
             padded = np.concatenate([chunk, np.full(LANES - chunk.size, chunk[-1])])
             rows = np.concatenate([numbers[start : start + LANES], np.repeat(numbers[start : start + 1], LANES, 0)])
             taken = jax.tree.map(lambda leaf, padded=padded: leaf[padded], self.values)
-            data = (np.repeat(rows[:LANES], repeats, axis=1), taken, self.times[padded])
+            data = (np.repeat(rows[:LANES], repeats, axis=1), *extra, taken, self.times[padded])
             arguments = cast((*data, np.asarray(self.first.tolerance)), self.first.precision)
             with computing_in(self.first.precision):
                 *arrays, status = (np.asarray(x) for x in program(*static, *arguments))
@@ -88,7 +90,7 @@ class Batch:
         """Simulated channels of some lanes and their slopes by the free parameters."""
         p = self.first
         static = (p.plan, p.wanted, p.method, p.locations, p.groups)
-        simulated, slopes = self._call(_sensitivities_lanes, static, numbers, lanes)
+        simulated, slopes = self._call(_sensitivities_lanes, static, numbers, lanes, p.sizes)
         return simulated, slopes
 
     def to_values(self, coordinates: np.ndarray) -> np.ndarray:

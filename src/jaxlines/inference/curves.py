@@ -8,7 +8,7 @@ import numpy as np
 from jaxlines.inference.analysis import Analysis
 from jaxlines.inference.problem import Problem
 from jaxlines.inference.search import Found
-from jaxlines.inference.uncertainty import NORMAL_95, UNINFORMED, Estimate
+from jaxlines.inference.uncertainty import NORMAL_95, UNINFORMED, Estimate, is_open
 from jaxlines.physics.lines import Line
 from jaxlines.simulation.result import Simulation
 
@@ -30,7 +30,7 @@ class Curve(NamedTuple):
 
 
 def _with_sd(problem: Problem, found: Found, analysis: Analysis, function) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Value, standard deviation, and share of variance left open of function(circuit), by linear propagation.
+    """Value and standard deviation of function(circuit), by linear propagation, and whether the data leave it open.
 
     Slopes by central differences: the formulas are smooth, cheap and in float64 on the host, so that the error
     (about 1e-9 relative) does not matter and nothing has to be compiled.
@@ -56,7 +56,9 @@ def _with_sd(problem: Problem, found: Found, analysis: Analysis, function) -> tu
     variance = np.einsum("...i,ij,...j->...", slopes, analysis.covariance.joint, slopes)
     open_parts = (slopes[..., : len(problem.free)] @ analysis.covariance.open_directions.T) ** 2 * UNINFORMED**2
     share = open_parts.sum(axis=-1) / np.maximum(variance, 1e-300)
-    return value, np.sqrt(np.maximum(variance, 0.0)), share
+    sd = np.sqrt(np.maximum(variance, 0.0))
+    bounds_sd = UNINFORMED * np.linalg.norm(slopes[..., : len(problem.free)] * analysis.widths, axis=-1)
+    return value, sd, np.vectorize(is_open)(share, sd, bounds_sd)
 
 
 def _visited(simulation: Simulation, line: Line) -> np.ndarray:
@@ -81,10 +83,10 @@ def derived_estimate(problem: Problem, found: Found, analysis: Analysis, simulat
         given = {"fluid": circuit.fluid, "p": pressure}
         return getattr(circuit.components[owner], method)(**{key: given[key] for key in needs})
 
-    value, sd, share = _with_sd(problem, found, analysis, function)
+    value, sd, left_open = _with_sd(problem, found, analysis, function)
     value, sd, unit = float(value), float(sd), UNITS.get(method, "1")
     note = f"at {pressure / 1e6:.4g} MPa" if "p" in needs else ""
-    if share > 0.1:
+    if left_open:
         return Estimate(value, None, None, unit, "unidentified", note)
     return Estimate(value, sd, (value - NORMAL_95 * sd, value + NORMAL_95 * sd), unit, "interval", note)
 

@@ -14,8 +14,9 @@ from jaxlines.inference.problem import Problem, make_problem
 from jaxlines.inference.recording import Recording
 from jaxlines.inference.search import Failed, Found, estimate_sigma, search, start_points
 from jaxlines.simulation.circuit import Circuit
+from jaxlines.simulation.integration import make_method
 from jaxlines.simulation.result import MESSAGES
-from jaxlines.simulation.simulate import make_method, simulate
+from jaxlines.simulation.simulate import simulate
 
 Progress = Callable[[str, float], None]
 

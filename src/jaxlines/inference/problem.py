@@ -12,12 +12,13 @@ from jaxlines.inference.recording import Recording
 from jaxlines.physics.fields import AbstractSignal
 from jaxlines.simulation.assembly import Plan, Values, compile_circuit, number_locations, set_numbers
 from jaxlines.simulation.circuit import Circuit, field_metadata
+from jaxlines.simulation.integration import Method, integrate, integrate_with_sensitivities
 from jaxlines.simulation.observation import quantities, sensor_units
 from jaxlines.simulation.paths import replace_leaves, resolve
 from jaxlines.simulation.precision import cast, computing_in
 from jaxlines.simulation.result import STATUS
 from jaxlines.simulation.signals import Sampled
-from jaxlines.simulation.simulate import Method, bind_inputs, integrate
+from jaxlines.simulation.simulate import bind_inputs
 
 
 def bucket(size: int) -> int:
@@ -32,21 +33,36 @@ def prediction(plan, wanted, method, locations, numbers, values, times, toleranc
     return found.outputs, found.status
 
 
-def sensitivity(plan, wanted, method, locations, groups, numbers, values, times, tolerance):
-    """Outputs, d outputs / d parameters (times, channels, parameters) and status; exact, by forward mode.
+def sensitivity(plan, wanted, method, locations, groups, numbers, sizes, values, times, tolerance):
+    """Outputs, d outputs / d parameters (times, channels, parameters) and status, by forward sensitivities.
 
-    `groups` gives for each parameter the positions of the numbers that it drives.
+    `groups` gives for each parameter the positions of the numbers that it drives, `sizes` a large change of it.
     """
+    leaves, structure = jax.tree.flatten(set_numbers(values, locations, numbers))
+    touched = sorted({position for position, _ in locations})
 
-    def outputs(shift):
-        shifted = numbers
+    def rebuild(moved):
+        return jax.tree.unflatten(structure, _replaced(leaves, touched, moved))
+
+    def move(shift):
+        moved = numbers
         for parameter, members in enumerate(groups):
-            shifted = shifted.at[np.asarray(members)].add(shift[parameter])
-        shown, status = prediction(plan, wanted, method, locations, shifted, values, times, tolerance)
-        return shown, (shown, status)
+            moved = moved.at[np.asarray(members)].add(shift[parameter] * sizes[parameter])
+        every = jax.tree.leaves(set_numbers(values, locations, moved))
+        return [every[position] for position in touched]
 
-    slopes, (shown, status) = jax.jacfwd(outputs, has_aux=True)(jnp.zeros(len(groups), numbers.dtype))
-    return shown, slopes, status
+    start = jnp.zeros(len(groups), numbers.dtype)
+    slopes = [jnp.moveaxis(s, -1, 0) for s in jax.jacfwd(move)(start)]
+    found, output_slopes = integrate_with_sensitivities(
+        plan, wanted, method, rebuild, move(start), slopes, times, tolerance
+    )
+    return found.outputs, output_slopes / sizes, found.status
+
+
+def _replaced(leaves: list, positions: list[int], new: list) -> list:
+    """Leaves with those at some positions replaced."""
+    given = dict(zip(positions, new, strict=True))
+    return [given.get(position, leaf) for position, leaf in enumerate(leaves)]
 
 
 _predict = jax.jit(prediction, static_argnums=(0, 1, 2, 3))
@@ -105,6 +121,12 @@ class Problem:
         times = self.recording.times
         return np.concatenate([times, np.full(bucket(times.size) - times.size, times[-1])])
 
+    @property
+    def sizes(self) -> np.ndarray:
+        """A large change of each parameter, by which its sensitivities are scaled."""
+        known = np.maximum(np.abs(self.known_values), [k.sd for k in self.known])
+        return np.concatenate([[f.bounds[1] - f.bounds[0] for f in self.free], known])
+
     def _arguments(self, free_values):
         """What the compiled programs take, in the precision of the problem."""
         every = np.concatenate([np.asarray(free_values, dtype=float), self.known_values])
@@ -122,7 +144,9 @@ class Problem:
         """Simulated channels and their slopes by every free and known parameter, in SI (not coordinates)."""
         with computing_in(self.precision):
             static = (self.plan, self.wanted, self.method, self.locations, self.groups)
-            outputs, slopes, status = (np.asarray(x) for x in _sensitivities(*static, *self._arguments(free_values)))
+            numbers, *data = self._arguments(free_values)
+            found = _sensitivities(*static, numbers, cast(self.sizes, self.precision), *data)
+            outputs, slopes, status = (np.asarray(x) for x in found)
         return self._trimmed(outputs, status), self._trimmed(slopes, status)
 
     def _trimmed(self, array, status) -> np.ndarray:

@@ -7,6 +7,10 @@ import numpy as np
 
 from jaxlines.inference.parameters import Free
 from jaxlines.inference.problem import Problem
+from jaxlines.inference.uncertainty import UNINFORMED
+
+OFFSET_GOAL = 1e-4
+"""Relative offset at which a search stops: nothing that the data could tell is left to gain."""
 
 OFFSET_LIMIT = 0.01
 """Relative offset below which a search counts as converged: the remaining step is under 1 % of a standard error
@@ -37,8 +41,9 @@ class _Evaluator:
 
     def __init__(self, problem: Problem, sigma: np.ndarray, report: Callable[[int, float], None]):
         self.problem, self.sigma, self.report = problem, sigma, report
-        self.count, self.last = 0, None
+        self.count, self.last, self.settled = 0, None, False
         self.used, self.measured = problem.used, problem.measured
+        self.widths = np.array([high - low for low, high in (f.coordinate_bounds() for f in problem.free)])
 
     def values(self, coordinates) -> np.ndarray:
         return np.array([f.to_value(c) for f, c in zip(self.problem.free, coordinates, strict=True)])
@@ -53,7 +58,16 @@ class _Evaluator:
     def jacobian(self, coordinates) -> np.ndarray:
         simulated, slopes = self.problem.sensitivities(self.values(coordinates))
         self.last = (np.array(coordinates), simulated, slopes)
-        return weighted_jacobian(self.problem, coordinates, slopes, self.sigma)
+        jacobian = weighted_jacobian(self.problem, coordinates, slopes, self.sigma)
+        residuals = ((simulated - self.measured) / self.sigma)[self.used]
+        self.settled = relative_offset(jacobian, residuals, self.widths) < OFFSET_GOAL
+        return jacobian
+
+    def stop_when_settled(self, intermediate_result) -> None:
+        """Callback of SciPy's search: nothing left to gain."""
+        del intermediate_result
+        if self.settled:
+            raise StopIteration
 
     def at(self, coordinates) -> tuple[np.ndarray, np.ndarray]:
         """Simulated channels and slopes at a point, computed again only if it is not the last."""
@@ -70,12 +84,21 @@ def weighted_jacobian(problem: Problem, coordinates, slopes, sigma) -> np.ndarra
     return (slopes[..., : len(steps)] * steps / sigma[:, None])[problem.used]
 
 
-def _offset(jacobian, residuals, movable) -> float:
-    """Relative offset: share of the residual in the tangent space over what noise alone would put there."""
-    if not movable.any():
+def relative_offset(jacobian, residuals, widths) -> float:
+    """Residual in the tangent space over what noise alone would put there; columns of movable coordinates only.
+
+    Directions that the data leave open (see `uncertainty.covariance`) do not count: walking along them changes
+    nothing that the data could tell.
+    """
+    if jacobian.shape[1] == 0:
         return 0.0
-    left, singular, _ = np.linalg.svd(jacobian[:, movable], full_matrices=False)
-    left = left[:, singular > 1e-8 * singular[0]]
+    if not np.all(np.isfinite(jacobian)):
+        return np.inf
+    left, singular, _ = np.linalg.svd(jacobian * widths, full_matrices=False)
+    level = np.linalg.norm(residuals) / np.sqrt(max(residuals.size - jacobian.shape[1], 1))
+    left = left[:, singular > level / UNINFORMED]
+    if left.shape[1] == 0:
+        return 0.0
     inside = left.T @ residuals
     outside = residuals - left @ inside
     freedom = max(residuals.size - left.shape[1], 1)
@@ -92,7 +115,8 @@ def judge(free: tuple[Free, ...], coordinates, residuals, jacobian, optimiser_me
     low = (coordinates - bounds[:, 0] < near) & (gradient > 0)
     high = (bounds[:, 1] - coordinates < near) & (gradient < 0)
     movable = ~(low | high)
-    offset = _offset(jacobian, residuals, movable)
+    widths = bounds[:, 1] - bounds[:, 0]
+    offset = relative_offset(jacobian[:, movable], residuals, widths[movable])
     step = np.linalg.lstsq(jacobian[:, movable], -residuals, rcond=1e-8)[0] if movable.any() else np.zeros(0)
     tiny = bool(np.all(np.abs(step) < 1e-7 * (bounds[movable, 1] - bounds[movable, 0])))
     if offset > OFFSET_LIMIT and not tiny:
@@ -107,7 +131,7 @@ def judge(free: tuple[Free, ...], coordinates, residuals, jacobian, optimiser_me
     return "converged", f"the remaining step is {offset:.1e} of a standard error"
 
 
-def search(problem: Problem, start: np.ndarray, sigma: np.ndarray, report, *, max_evaluations: int = 200) -> Found:
+def search(problem: Problem, start: np.ndarray, sigma: np.ndarray, report, *, max_evaluations: int = 100) -> Found:
     """One trust-region search from a start (search coordinates) with noise levels sigma, shape (channels,).
 
     Raises: Failed when the start cannot be simulated.
@@ -130,6 +154,7 @@ def search(problem: Problem, start: np.ndarray, sigma: np.ndarray, report, *, ma
         xtol=1e-9,
         gtol=1e-12,
         max_nfev=max_evaluations,
+        callback=evaluator.stop_when_settled,
     )
     simulated, slopes = evaluator.at(found.x)
     residuals = ((simulated - evaluator.measured) / sigma)[evaluator.used]

@@ -11,6 +11,10 @@ NORMAL_95, NORMAL_ONE_SIDED_95 = 1.959963984540054, 1.6448536269514722
 UNINFORMED = 1.0 / np.sqrt(12.0)
 """Standard deviation of a uniform distribution in units of its width: what is known from the bounds alone."""
 
+OPEN_SHARE, OPEN_REMAINDER = 0.5, 0.1
+"""A number counts as unidentified when more than this share of its variance comes from directions that the data leave
+open, and its standard deviation is more than this part of what the bounds alone would give."""
+
 WHITE_LIMIT = 0.01
 """Level of the whiteness test: right models fail it once in a hundred."""
 
@@ -59,7 +63,7 @@ def covariance(jacobian, known_jacobian, widths, known_sd) -> Covariance:
     scaled = jacobian * widths
     left, singular, right = np.linalg.svd(scaled, full_matrices=False)
     known = singular > 1.0 / UNINFORMED
-    variances = np.where(known, 1.0 / np.maximum(singular, 1e-300) ** 2, UNINFORMED**2)
+    variances = np.where(known, 1.0 / np.where(known, singular, 1.0) ** 2, UNINFORMED**2)
     directions = right * widths
     parts = directions**2 * variances[:, None]
     free_part = (directions.T * variances) @ directions
@@ -70,22 +74,24 @@ def covariance(jacobian, known_jacobian, widths, known_sd) -> Covariance:
     return Covariance(joint, free_part, open_share, directions[~known], singular)
 
 
-def make_estimate(
-    parameter: Free, value: float, sd: float, open_share: float, unit: str, natural_sd: float, zero: bool
-) -> Estimate:
-    """The estimate of a free parameter from the standard deviation `sd` of its coordinate.
+def is_open(open_share, sd, bounds_sd) -> bool:
+    """Whether the data leave a number open; bounds_sd: its standard deviation from the bounds alone."""
+    return bool(open_share > OPEN_SHARE and sd > OPEN_REMAINDER * bounds_sd)
 
-    natural_sd: standard deviation in a linear coordinate; zero: whether the number is bounded by a physical zero,
-    so that a value within 1.96 natural_sd of it is an upper limit.
+
+def make_estimate(parameter: Free, value: float, sd: float, unit: str, kind: str) -> Estimate:
+    """The estimate of a free parameter.
+
+    sd: standard deviation of its coordinate, or of its value when the kind is "upper_limit".
     """
-    if zero and value <= NORMAL_95 * natural_sd and value + NORMAL_ONE_SIDED_95 * natural_sd < parameter.bounds[1]:
-        limit = value + NORMAL_ONE_SIDED_95 * natural_sd
-        return Estimate(value, natural_sd, (0.0, limit), unit, "upper_limit", "not detected: 95 % upper limit")
-    if open_share > 0.1:
-        return Estimate(value, None, None, unit, "unidentified", "the recording leaves it open within its bounds")
+    if kind == "upper_limit":
+        limit = value + NORMAL_ONE_SIDED_95 * sd
+        return Estimate(value, sd, (0.0, limit), unit, kind, "not detected: 95 % upper limit")
+    if kind == "unidentified":
+        return Estimate(value, None, None, unit, kind, "the recording leaves it open within its bounds")
     coordinate = parameter.to_coordinate(value)
     low, high = (float(parameter.to_value(coordinate + z * NORMAL_95 * sd)) for z in (-1, 1))
-    return Estimate(value, float(parameter.slope(value)) * sd, (low, high), unit, "interval")
+    return Estimate(value, float(parameter.slope(value)) * sd, (low, high), unit, kind)
 
 
 def ljung_box(residuals, used, lags: int = 20) -> float:
@@ -113,10 +119,10 @@ def ljung_box(residuals, used, lags: int = 20) -> float:
     return float(chi2.sf(statistic, lags))
 
 
-def describe_open_directions(labels, found: Covariance) -> tuple[str, ...]:
-    """What the recording cannot tell apart, in words."""
+def describe_open_directions(labels, found: Covariance, widths) -> tuple[str, ...]:
+    """What the recording cannot tell apart, in words; `widths` of the bounds make coordinates comparable."""
     sentences = []
-    for direction in found.open_directions:
+    for direction in found.open_directions / widths:
         size = np.abs(direction) / np.abs(direction).max()
         names = [labels[i] for i in np.argsort(-size) if size[i] > 0.1]
         if len(names) == 1:
