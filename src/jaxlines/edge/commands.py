@@ -2,6 +2,7 @@
 
 import contextlib
 import importlib.metadata
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -13,9 +14,10 @@ WRONG_CALL = 2
 FIT_FAILED = 1
 INTERRUPTED = 130
 
+UsageError = typer.BadParameter.__base__  # of click, which typer does not export
+
 app = typer.Typer(
     add_completion=False,
-    no_args_is_help=True,
     pretty_exceptions_enable=False,
     help="Simulate lumped hydraulic lines and find their physical parameters in recorded pressure.",
 )
@@ -137,3 +139,15 @@ def check(study: StudyFile, quiet: Quiet = False) -> None:
             simulation = loaded.simulate(on_recording=True)
         show_study(loaded, simulation)
         show_simulation(simulation, "simulated with the numbers of the file", ())
+
+
+def run(arguments: list[str] | None = None) -> int:
+    """Run a command line (by default that of the process; help without any) and return its exit code."""
+    given = sys.argv[1:] if arguments is None else arguments
+    try:
+        return app(given or ["--help"], prog_name="jaxlines", standalone_mode=False) or 0
+    except UsageError as error:
+        command = error.ctx.command_path if error.ctx else "jaxlines"
+        line = " ".join(error.format_message().split()).rstrip(".")
+        typer.echo(f"jaxlines: {line}: see {command} --help", err=True)
+        return WRONG_CALL

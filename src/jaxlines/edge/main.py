@@ -39,9 +39,9 @@ def main() -> None:
     """Run the command line and exit with its code."""
     set_up_jax()
     try:
-        from jaxlines.edge.commands import app
+        from jaxlines.edge.commands import run
 
-        app()
+        sys.exit(run())
     except KeyboardInterrupt:
         print("jaxlines: interrupted", file=sys.stderr)
         sys.exit(INTERRUPTED)

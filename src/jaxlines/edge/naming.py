@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxlines.edge.building import StudyError, suggest
 from jaxlines.physics.fields import driven_of
-from jaxlines.simulation.assembly import compile_circuit, initial_names
+from jaxlines.simulation.assembly import compile_circuit, initial_names, number_locations
 from jaxlines.simulation.circuit import Circuit, field_metadata
 from jaxlines.simulation.observation import quantities, sensor_units
 from jaxlines.simulation.paths import resolve
@@ -16,12 +16,16 @@ from jaxlines.simulation.signals import Constant
 
 
 class Names(NamedTuple):
-    """Outputs, inputs and initial values: name -> metadata; observed: outputs that every simulation keeps."""
+    """Outputs, inputs and initial values: name -> metadata; observed: outputs that every simulation keeps.
+
+    numbers: the paths of all numbers that a fit can free.
+    """
 
     outputs: dict[str, dict]
     inputs: dict[str, dict]
     initial: dict[str, dict]
     observed: tuple[str, ...]
+    numbers: tuple[str, ...]
 
 
 @contextlib.contextmanager
@@ -41,12 +45,14 @@ def names_of(circuit: Circuit) -> Names:
         for name, places in circuit.external_inputs().items()
     }
     with computing_in("float64"):
-        plan, _ = compile_circuit(circuit, None, {name: Constant(np.asarray(0.0)) for name in inputs})
+        plan, values = compile_circuit(circuit, None, {name: Constant(np.asarray(0.0)) for name in inputs})
         known, sensors = quantities(plan), sensor_units(circuit, plan)
+        numbers = tuple(number_locations(plan, values))
     units = {name: q.unit for name, q in known.items()} | sensors
     outputs = {name: {"unit": unit, "level": unit == "Pa"} for name, unit in units.items()}
     observed = [name for name, q in known.items() if q.room != "port"]
-    return Names(outputs, inputs, {name: outputs[name] for name in initial_names(plan)}, (*observed, *sensors))
+    initial = {name: outputs[name] for name in initial_names(plan)}
+    return Names(outputs, inputs, initial, (*observed, *sensors), numbers)
 
 
 def look_up(name: str, known: dict[str, dict], where: str, what: str) -> dict:
@@ -59,7 +65,11 @@ def look_up(name: str, known: dict[str, dict], where: str, what: str) -> dict:
 def path_metadata(circuit: Circuit, names: Names, path: str, where: str) -> dict:
     """Unit of the number at a path, and whether it is a pressure level (an amplitude is a difference)."""
     if path.startswith("initial."):
-        return look_up(path.removeprefix("initial."), names.initial, where, "initial value")
+        name = path.removeprefix("initial.")
+        source = circuit.fixed_nodes().get(name.removesuffix(".pressure"))
+        if source is not None:
+            raise StudyError(f"{where}: {name!r} is given by {source[0]!r}, so that it has no initial value")
+        return look_up(name, names.initial, where, "initial value")
     with at(where):
         full = resolve(path, circuit.paths())
     metadata = field_metadata(circuit, full)

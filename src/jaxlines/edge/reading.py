@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxlines.edge.display import readable_unit
 from jaxlines.edge.units import base_unit, conversion, is_pressure, split_level
 from jaxlines.inference.recording import Recording
 from jaxlines.physics.fields import ATMOSPHERE
@@ -45,7 +46,7 @@ def _read_table(path: Path):
     try:
         table = readers[path.suffix.lower()](path)
     except (pandas.errors.ParserError, pandas.errors.EmptyDataError, UnicodeDecodeError, OSError, ValueError) as error:
-        reason = str(error).strip().splitlines()[0]
+        reason = "it is not UTF-8: save it so" if isinstance(error, UnicodeDecodeError) else str(error).split("\n")[0]
         raise ValueError(f"{path}: cannot be read as {path.suffix[1:]} ({reason})") from error
     return table.rename(columns=lambda name: str(name).strip())
 
@@ -55,8 +56,11 @@ def _find_column(table, column: str, path: Path):
     if column.strip() in table.columns:
         return table[column.strip()]
     near = difflib.get_close_matches(column, table.columns, n=3, cutoff=0.4) or list(table.columns[:8])
-    separator = ": are columns separated by ; instead of a comma?" if len(table.columns) == 1 else ""
-    raise ValueError(f"{path}: no column {column!r}; the file has {', '.join(map(repr, near))}{separator}")
+    hint = ""
+    if len(table.columns) == 1:
+        mark = next((label for sign, label in ((";", ";"), ("\t", "tabs")) if sign in table.columns[0]), "; or tabs")
+        hint = f": are columns separated by {mark} instead of a comma? Save it with commas, and points in decimals"
+    raise ValueError(f"{path}: no column {column!r}; the file has {', '.join(map(repr, near))}{hint}")
 
 
 def _numbers(series, column: str, path: Path) -> np.ndarray:
@@ -71,9 +75,13 @@ def _numbers(series, column: str, path: Path) -> np.ndarray:
     wrong = series[numbers.isna() & series.notna()]
     if len(wrong):
         cell = str(wrong.iloc[0])
-        comma = ": decimals take a point, not a comma" if re.fullmatch(r"\s*[+-]?\d+,\d+\s*", cell) else ""
         row = int(wrong.index[0]) + 1
-        raise ValueError(f"{path}: column {column!r}, data row {row}: {cell!r} is no number{comma}")
+        remedy = "leave the cell empty where the sample is missing"
+        if re.fullmatch(r"\s*[+-]?\d+,\d+\s*", cell):
+            remedy = "decimals take a point, not a comma"
+        elif row == 1:
+            remedy = "one row of headings is read: is this a second one?"
+        raise ValueError(f"{path}: column {column!r}, data row {row}: {cell!r} is no number: {remedy}")
     return numbers.to_numpy(dtype=np.float64, na_value=np.nan)
 
 
@@ -99,7 +107,7 @@ def _check_times(times, column: str, path: Path) -> None:
     if not np.all(steps > 0):
         row = int(np.argmin(steps > 0)) + 2
         slip = (
-            "is the time rounded too far?" if steps[row - 2] == 0 else "are rows out of order, or two runs in one file?"
+            "is the time rounded too far, or a row repeated?" if steps[row - 2] == 0 else "are rows out of order, or two runs in one file?"
         )
         raise ValueError(
             f"{where} does not increase in data row {row} ({times[row - 2]:g} s, then {times[row - 1]:g} s): {slip}"
@@ -136,15 +144,16 @@ def _check_pressure(values, where: str, unit: str) -> list[str]:
     return []
 
 
-def _channel_warnings(values, where: str) -> list[str]:
+def _channel_warnings(values, where: str, si_unit: str) -> list[str]:
     """What is odd about a channel in SI: missing samples, dead, clipped."""
+    unit, factor = readable_unit(si_unit, float(np.nanmax(np.abs(values))))
     finite, found = values[np.isfinite(values)], []
     if finite.size < values.size:
         missing = values.size - finite.size
         found.append(f"{where}: {missing} of {values.size} samples are missing and are left out")
     low, high = finite.min(), finite.max()
     if low == high:
-        return [*found, f"{where}: constant at {low:g} in SI: is the channel dead?"]
+        return [*found, f"{where}: constant at {low * factor:g} {unit}: is the channel dead?"]
     for extreme, word in ((low, "lowest"), (high, "highest")):
         at = np.concatenate([[False], finite == extreme, [False]])
         edges = np.flatnonzero(np.diff(at.astype(int)))
@@ -153,7 +162,7 @@ def _channel_warnings(values, where: str) -> list[str]:
         if at.sum() >= max(5, 0.01 * finite.size) and longest >= 3:
             share = 100.0 * at.sum() / finite.size
             found.append(
-                f"{where}: {share:.2g} % of the samples sit exactly at the {word} value {extreme:.6g}: clipped?"
+                f"{where}: {share:.2g} % of the samples sit exactly at the {word} value {extreme * factor:.6g} {unit}: clipped?"
             )
     return found
 
@@ -192,7 +201,7 @@ def read_recording(
         values = np.where(np.isfinite(values), values, np.nan)
         if np.all(np.isnan(values)):
             raise ValueError(f"{where} has no number in it")
-        warnings += _channel_warnings(values, f"{channel} ({column})")
+        warnings += _channel_warnings(values, f"{channel} ({column})", si_unit)
         if si_unit == "Pa":
             warnings += _check_pressure(values, where, unit)
         read[channel] = values

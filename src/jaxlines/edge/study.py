@@ -10,11 +10,13 @@ import numpy as np
 
 from jaxlines.edge.building import Builder, StudyError, build_circuit
 from jaxlines.edge.naming import Names, at, look_up, names_of, path_metadata
-from jaxlines.edge.reading import read_recording
+from jaxlines.edge.reading import MIN_SAMPLES, read_recording
 from jaxlines.edge.tables import FitTable, NumericsTable, RecordingTable, SimulateTable, check_layout
+from jaxlines.inference.curves import check_derived
 from jaxlines.inference.fit import fit
 from jaxlines.inference.fit_result import Fit
 from jaxlines.inference.parameters import Free, Known
+from jaxlines.inference.problem import check_parameters, recorded_inputs
 from jaxlines.inference.recording import Recording
 from jaxlines.simulation.circuit import Circuit
 from jaxlines.simulation.integration import implicit
@@ -110,10 +112,10 @@ class Study:
 
 
 def _read_recording(
-    table: RecordingTable, folder: Path, circuit: Circuit, names: Names, atmosphere: float
+    table: RecordingTable, folder: Path, circuit: Circuit, names: Names, builder: Builder
 ) -> Recording:
     """The recording of a study; the pressures of gauge sensors are gauge again."""
-    known, where = {**names.outputs, **names.inputs}, "recording.channels"
+    known, where, atmosphere = {**names.outputs, **names.inputs}, "recording.channels", builder.atmospheric_pressure
     units = {channel: look_up(channel, known, where, "output or input")["unit"] for channel in table.channels}
     with at("recording"):
         recording = read_recording(
@@ -122,7 +124,23 @@ def _read_recording(
     channels = {
         name: values - atmosphere if is_gauge(circuit, name) else values for name, values in recording.channels.items()
     }
-    return dataclasses.replace(recording, channels=channels)
+    recording = dataclasses.replace(recording, channels=channels)
+    if table.window is None:
+        return recording
+    start, stop = (builder.number(end, {"unit": "s"}, "recording.window") for end in table.window)
+    return _window(recording, start, stop)
+
+
+def _window(recording: Recording, start: float, stop: float) -> Recording:
+    """A piece of a recording [s]. Raises StudyError when too little of it is left."""
+    piece = (recording.times >= start) & (recording.times <= stop)
+    if piece.sum() < MIN_SAMPLES:
+        span = f"{recording.times[0]:g} s to {recording.times[-1]:g} s"
+        raise StudyError(
+            f"recording.window: {piece.sum()} samples lie between {start:g} s and {stop:g} s, which is less than "
+            f"{MIN_SAMPLES}; the recording goes from {span}"
+        )
+    return recording.window(start, stop)
 
 
 def _noise(given: dict, names: Names, builder: Builder) -> dict[str, float]:
@@ -134,7 +152,16 @@ def _noise(given: dict, names: Names, builder: Builder) -> dict[str, float]:
     return noise
 
 
-def _parameters(table: FitTable, circuit: Circuit, names: Names, builder: Builder) -> tuple[tuple, tuple]:
+def _first_guess(path: str, bounds, circuit: Circuit, initial: dict) -> float | None:
+    """The number of the file, from which a fit starts; None where it is not inside the bounds."""
+    owner, _, name = path.partition(".")
+    guess = initial.get(name) if owner == "initial" else circuit[path]
+    if guess is None or isinstance(guess, str) or np.ndim(guess) > 0:
+        return None
+    return float(guess) if bounds[0] < guess < bounds[1] else None
+
+
+def _parameters(table: FitTable, circuit: Circuit, names: Names, initial: dict, builder: Builder):
     """Free and known parameters in SI."""
     free, known = [], []
     for i, entry in enumerate(table.free):
@@ -143,7 +170,9 @@ def _parameters(table: FitTable, circuit: Circuit, names: Names, builder: Builde
         if len({m["unit"] for m in metadata}) > 1:
             raise StudyError(f"{where}: {', '.join(entry.path)} have different units: they cannot share a value")
         low, high = (builder.number(bound, metadata[0], f"{where}.bounds") for bound in entry.bounds)
-        start = None if entry.start is None else builder.number(entry.start, metadata[0], f"{where}.start")
+        start = _first_guess(entry.path[0], (low, high), circuit, initial)
+        if entry.start is not None:
+            start = builder.number(entry.start, metadata[0], f"{where}.start")
         path = entry.path[0] if len(entry.path) == 1 else tuple(entry.path)
         with at(where):
             free.append(Free(path, (low, high), start, entry.transform, entry.name))
@@ -153,7 +182,26 @@ def _parameters(table: FitTable, circuit: Circuit, names: Names, builder: Builde
         sd = builder.number(entry.sd, metadata, f"{where}.sd")
         with at(where):
             known.append(Known(entry.path, sd))
+    with at("fit"):
+        check_parameters(circuit, free, known, names.numbers)
     return tuple(free), tuple(known)
+
+
+def _check_fit(study: Study) -> None:
+    """Raise StudyError for what would stop a fit of this study."""
+    with at("fit.derived"):
+        for name in study.fit_options["derived"]:
+            check_derived(study.circuit, name)
+    if study.recording is None:
+        return
+    with at("recording"):
+        recorded_inputs(study.circuit, study.recording, "linear")
+    for name, values in study.recording.channels.items():
+        if name in study.names.outputs and np.ptp(values[study.recording.mask[name]]) == 0.0:
+            raise StudyError(
+                f"recording.channels: {name!r} is constant, so that nothing can be fitted to it: is the channel dead? "
+                "Name another column or leave it out"
+            )
 
 
 def _simulation(table: SimulateTable, names: Names, builder: Builder) -> dict:
@@ -200,16 +248,19 @@ def _build(content: dict, folder: Path, source: str) -> Study:
         names = names_of(circuit)
     recording, found = None, {}
     if layout.recording is not None:
-        recording = _read_recording(layout.recording, folder, circuit, names, builder.atmospheric_pressure)
+        recording = _read_recording(layout.recording, folder, circuit, names, builder)
         found["noise"] = _noise(layout.recording.noise, names, builder)
+    initial = _initial(layout.initial, names, recording, builder)
     if layout.fit is not None:
-        found["free"], found["known"] = _parameters(layout.fit, circuit, names, builder)
+        found["free"], found["known"] = _parameters(layout.fit, circuit, names, initial, builder)
         found["fit_options"] = layout.fit.model_dump(include={"derived", "starts", "seed"})
     if layout.simulate is not None:
         found |= _simulation(layout.simulate, names, builder)
-    found["initial"] = _initial(layout.initial, names, recording, builder)
-    title = layout.title or Path(source).stem
-    return Study(title, source, circuit, names, recording=recording, numerics=_numerics(layout.numerics), **found)
+    found |= {"initial": initial, "numerics": _numerics(layout.numerics)}
+    study = Study(layout.title or Path(source).stem, source, circuit, names, recording=recording, **found)
+    if study.free:
+        _check_fit(study)
+    return study
 
 
 def _locate(source: str) -> Path:

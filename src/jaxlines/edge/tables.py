@@ -34,16 +34,17 @@ class Table(BaseModel):
 
 
 class RecordingTable(Table):
-    """[recording]: the file, its columns, and standard deviations of the noise."""
+    """[recording]: the file, its columns, standard deviations of the noise, and the window of time to take."""
 
     file: str
     time: str | list[str]
     channels: Annotated[dict[str, str | list[str]], BeforeValidator(_flat)]
     noise: Annotated[dict[str, Number], BeforeValidator(_flat)] = {}
+    window: Annotated[list[Number], Field(min_length=2, max_length=2)] | None = None
 
 
 class FreeTable(Table):
-    """[[fit.free]]: a parameter to be estimated."""
+    """[[fit.free]]: a parameter to be estimated; the search starts at the number of the file by default."""
 
     path: Annotated[list[str], BeforeValidator(_as_list), Field(min_length=1)]
     bounds: Annotated[list[Number], Field(min_length=2, max_length=2)]
@@ -124,7 +125,10 @@ def _one_line(error: ValidationError) -> str:
             return f"{where}{key!r} is missing"
         keys = _TABLES[tuple(word for word in table if not word.isdigit())].model_fields
         return f"{where}unknown key {key!r}, {suggest(key, keys)}"
-    return f"{'.'.join(place)}: {first['msg'][0].lower()}{first['msg'][1:]}, got {first['input']!r}"
+    if first["type"] == "list_type" and tuple(place) in _TABLES:
+        return f"{'.'.join(place)}: write [[{'.'.join(place)}]] with two brackets, once for each"
+    text = first["msg"][0].lower() + first["msg"][1:].replace("dictionary", "table")
+    return f"{'.'.join(place)}: {text}, got {first['input']!r}"
 
 
 def check_layout(content: dict) -> StudyTable:

@@ -113,7 +113,11 @@ def _fit_traces(fit: Fit) -> dict[str, np.ndarray]:
 def make_folder(directory) -> Path:
     """The folder of the results, made if needed. Raises OSError when it cannot be written."""
     folder = Path(directory)
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = "is a file" if folder.is_file() else error.strerror
+        raise OSError(f"{folder}: no folder can be made there ({reason}): choose another with --out") from error
     if not os.access(folder, os.W_OK | os.X_OK):
         raise PermissionError(f"{folder}: the folder cannot be written: choose another with --out")
     return folder

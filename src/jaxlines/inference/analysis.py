@@ -141,9 +141,15 @@ def influences(
         percent = -(inverse @ change) * analysis.steps / np.where(found.values == 0.0, 1.0, found.values) * 100.0
         affected = [f"{labels[i]} by {percent[i]:+.2g} %" for i in np.flatnonzero(firm & (np.abs(percent) > limit))]
         if affected:
-            how = f"known with standard uncertainty {sds[path]:.2g}" if path in sds else "taken as exact"
+            how = f"known with standard uncertainty {_with_unit(problem, path, sds[path])}" if path in sds else "taken as exact"
             sentences.append(f"{path} is {how}: 1 % more in it moves {', '.join(affected)}")
     return tuple(sentences)
+
+
+def _with_unit(problem: Problem, path: str, value: float) -> str:
+    """A number of the circuit with its unit."""
+    unit = number_metadata(problem.circuit, path).get("unit", "1")
+    return f"{value:.2g}" if unit == "1" else f"{value:.2g} {unit}"
 
 
 def _one_percent_differences(problem: Problem, found: Found) -> dict[str, np.ndarray]:
@@ -205,7 +211,8 @@ def conditional_range(problem: Problem, found: Found, sigma, estimates) -> tuple
     for i, parameter in enumerate(problem.free):
         low, high = sorted(float(end[i]) for end in ends)
         old = estimates[parameter.label]
-        ends_text = f"{low:.4g} to {high:.4g} over {POLYTROPIC_RANGE[0]:g} to {POLYTROPIC_RANGE[1]:g}"
+        unit = "" if old.unit == "1" else f" {old.unit}"
+        ends_text = f"{low:.4g} to {high:.4g}{unit} over {POLYTROPIC_RANGE[0]:g} to {POLYTROPIC_RANGE[1]:g}"
         note = f"at {index_path} = {held:g}; {ends_text}"
         if old.kind != "unidentified" and (i in airy or high - low > 2.0 * (old.sd or np.inf)):
             estimates[parameter.label] = old._replace(note="; ".join(filter(None, [old.note, note])))

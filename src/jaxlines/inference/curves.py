@@ -10,6 +10,7 @@ from jaxlines.inference.problem import Problem
 from jaxlines.inference.search import Found
 from jaxlines.inference.uncertainty import NORMAL_95, UNINFORMED, Estimate, is_open
 from jaxlines.physics.lines import Line
+from jaxlines.simulation.circuit import Circuit
 from jaxlines.simulation.result import Simulation
 
 CURVE_POINTS = 60
@@ -66,16 +67,21 @@ def _visited(simulation: Simulation, line: Line) -> np.ndarray:
     return np.asarray(simulation[f"{line.node}.pressure"])
 
 
+def check_derived(circuit: Circuit, name: str) -> None:
+    """Raise KeyError, with the names there are, when a derived number does not exist."""
+    known = [f"{n}.{m}" for n, c in circuit.components.items() if isinstance(c, Line) for m in UNITS]
+    if name not in known:
+        raise KeyError(f"no derived number is called {name!r}; there are {', '.join(known)}")
+
+
 def derived_estimate(problem: Problem, found: Found, analysis: Analysis, simulation: Simulation, name: str) -> Estimate:
     """A derived number such as "line.effective_bulk_modulus", at the median pressure of its node, with interval.
 
     Raises: KeyError when the component or the method does not exist.
     """
+    check_derived(problem.circuit, name)
     owner, _, method = name.partition(".")
-    component = problem.circuit.components.get(owner)
-    if component is None or not callable(getattr(component, method, None)) or not isinstance(component, Line):
-        lines = [f"{n}.{m}" for n, c in problem.circuit.components.items() if isinstance(c, Line) for m in UNITS]
-        raise KeyError(f"no derived number is called {name!r}; there are {', '.join(lines)}")
+    component = problem.circuit.components[owner]
     pressure = float(np.median(_visited(simulation, component)))
     needs = inspect.signature(getattr(component, method)).parameters
 

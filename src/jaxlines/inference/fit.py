@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from jaxlines.inference.analysis import Analysis, analyse, channel_fits, conditional_range, influences
-from jaxlines.inference.curves import derived_estimate, line_curves
+from jaxlines.inference.curves import check_derived, derived_estimate, line_curves
 from jaxlines.inference.fit_result import Fit
 from jaxlines.inference.parameters import Free, Known
 from jaxlines.inference.problem import Problem, make_problem
@@ -144,6 +144,8 @@ def fit(
     say = progress or (lambda text, fraction: None)
     if starts < 1:
         raise ValueError(f"starts must be at least 1, got {starts}")
+    for name in derived:
+        check_derived(circuit, name)
     initial, measured = _measured_starts(circuit, recording, free, initial or {})
     method = make_method(solver, "forward", max_steps)
     say("compiling the model", 0.0)

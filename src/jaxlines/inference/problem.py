@@ -191,7 +191,7 @@ def _split_channels(circuit: Circuit, plan: Plan, recording: Recording) -> tuple
     return fitted, units
 
 
-def _recorded_inputs(circuit: Circuit, recording: Recording, interpolation: str) -> dict[str, Sampled]:
+def recorded_inputs(circuit: Circuit, recording: Recording, interpolation: str) -> dict[str, Sampled]:
     """The channels that drive the circuit, as signals; missing samples are refused."""
     signals = {}
     for name in circuit.external_inputs():
@@ -213,7 +213,7 @@ def _recorded_inputs(circuit: Circuit, recording: Recording, interpolation: str)
 
 def _bound(circuit: Circuit, recording: Recording, interpolation: str) -> tuple[dict, dict]:
     """The recorded inputs as signals, and the same padded to a bucket."""
-    signals = bind_inputs(circuit, _recorded_inputs(circuit, recording, interpolation), recording.times)
+    signals = bind_inputs(circuit, recorded_inputs(circuit, recording, interpolation), recording.times)
     return signals, {name: signal.padded(bucket(recording.times.size)) for name, signal in signals.items()}
 
 
@@ -225,7 +225,7 @@ def with_inputs(problem: Problem, recording: Recording, interpolation: str) -> V
     return dataclasses.replace(problem.values, signals=signals)
 
 
-def _check_parameters(circuit: Circuit, free, known, locations) -> tuple[tuple[Free, ...], tuple[Known, ...]]:
+def check_parameters(circuit: Circuit, free, known, locations) -> tuple[tuple[Free, ...], tuple[Known, ...]]:
     """Free and known parameters with full paths; raises for unknown, repeated or out-of-range ones."""
     full_free, full_known, seen = [], [], set()
     for parameter in free:
@@ -270,7 +270,7 @@ def make_problem(
         plan, values = compile_circuit(circuit, initial, padded)
         fitted, units = _split_channels(circuit, plan, recording)
         known_locations = number_locations(plan, values)
-    free, known = _check_parameters(circuit, free, known, known_locations)
+    free, known = check_parameters(circuit, free, known, known_locations)
     paths, groups = [], []
     for parameter in [*free, *known]:
         members = parameter.paths if isinstance(parameter, Free) else (parameter.path,)

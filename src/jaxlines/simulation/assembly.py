@@ -84,7 +84,7 @@ def _require_capacity(plan: Plan) -> None:
             remedy = {"hydraulic": "a Line (a Vessel is a plain volume), or a PressureSource"}.get(domain, "an Inertia")
             raise ValueError(
                 f"{domain} node {node!r} has no capacity, so that its {DOMAINS[domain].potential} is undetermined: "
-                f"attach {remedy}"
+                f"attach {remedy}, or correct the name"
             )
 
 

@@ -32,6 +32,7 @@ class Method(NamedTuple):
     solver: diffrax.AbstractSolver
     gradient: str
     max_steps: int
+    max_step: float | None = None
 
     def adjoint(self) -> diffrax.AbstractAdjoint:
         """How derivatives are taken: forward mode refuses reverse and the other way round."""
@@ -42,7 +43,7 @@ class Method(NamedTuple):
         return diffrax.RecursiveCheckpointAdjoint(checkpoints=self.max_steps)
 
 
-def make_method(solver, gradient: str, max_steps: int) -> Method:
+def make_method(solver, gradient: str, max_steps: int, max_step: float | None = None) -> Method:
     """A checked method; Tsit5 when no solver is given."""
     if gradient not in ("forward", "reverse"):
         raise ValueError(f'gradient must be "forward" or "reverse", got {gradient!r}')
@@ -50,7 +51,10 @@ def make_method(solver, gradient: str, max_steps: int) -> Method:
         raise TypeError(
             f"solver must be a diffrax solver such as diffrax.Tsit5() or jaxlines.implicit(), got {solver!r}"
         )
-    return Method(diffrax.Tsit5() if solver is None else implicit(solver), gradient, int(max_steps))
+    if max_step is not None and not max_step > 0.0:
+        raise ValueError(f"max_step must be positive, got {max_step:g} s")
+    step = None if max_step is None else float(max_step)
+    return Method(diffrax.Tsit5() if solver is None else implicit(solver), gradient, int(max_steps), step)
 
 
 class Trajectory(NamedTuple):
@@ -93,14 +97,14 @@ def _status(result, outputs, lowest, fluid):
     return jnp.where(result == diffrax.RESULTS.successful, code, failed)
 
 
-def _controller(values: Values, tolerance) -> diffrax.AbstractStepSizeController:
+def _controller(values: Values, tolerance, max_step: float | None) -> diffrax.AbstractStepSizeController:
     """Adaptive steps that end on every jump and kink of the inputs.
 
     A step across samples of a noisy input can pass the error test by luck; ending on the samples makes the
     field smooth within each step, so that the tolerance means what it says. Where steps end does not change the
     solution, so that these times carry no derivative (it would grow from step to step).
     """
-    controller = diffrax.PIDController(rtol=tolerance, atol=tolerance, pcoeff=0.3, icoeff=0.3)
+    controller = diffrax.PIDController(rtol=tolerance, atol=tolerance, pcoeff=0.3, icoeff=0.3, dtmax=max_step)
     jumps = [jnp.ravel(s.jump_times()) for s in values.signals if np.size(s.jump_times())]
     knots = [jnp.ravel(s.knot_times()) for s in values.signals if np.size(s.knot_times())]
     if not jumps and not knots:
@@ -119,7 +123,7 @@ def _solve(method: Method, adjoint, field, start, save, values: Values, times, t
         dt0=None,
         y0=start,
         saveat=diffrax.SaveAt(ts=times, fn=lambda t, y, args: save(t, y)),
-        stepsize_controller=_controller(values, tolerance),
+        stepsize_controller=_controller(values, tolerance, method.max_step),
         adjoint=adjoint,
         max_steps=method.max_steps,
         throw=False,

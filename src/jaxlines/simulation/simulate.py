@@ -77,6 +77,7 @@ def simulate(
     solver: diffrax.AbstractSolver | None = None,
     tolerance: float = 1e-7,
     max_steps: int = 100_000,
+    max_step: float | None = None,
     gradient: str = "reverse",
     precision: str = "float64",
     throw: bool = True,
@@ -96,6 +97,9 @@ def simulate(
         solver: a diffrax solver; Tsit5 by default, `jaxlines.implicit()` for stiff circuits.
         tolerance: relative tolerance; absolute tolerance of the states in units of their typical sizes.
         max_steps: limit of the step count.
+        max_step: longest step [s]. Give it (well below the fastest time constant) when you differentiate through
+            a circuit that rests: where nothing moves, steps grow without limit, and derivatives with them. `fit`
+            does not need it, since it holds derivatives to the tolerance.
         gradient: "reverse" (jax.grad) or "forward" (jax.jacfwd); each refuses the other.
         precision: "float64" or "float32".
         throw: raise when the trajectory fails; else look at `status`.
@@ -109,7 +113,7 @@ def simulate(
         bound = bind_inputs(circuit, inputs, times)
         plan, values = compile_circuit(circuit, initial, bound)
         wanted = _wanted(circuit, plan, outputs)
-        method = make_method(solver, gradient, max_steps)
+        method = make_method(solver, gradient, max_steps, max_step)
         values, times, tolerance = cast((values, times, np.asarray(tolerance)), precision)
         found = _run(plan, tuple(wanted), method, values, times, tolerance)
         if not traced:
