@@ -171,6 +171,19 @@ def test_start_value_is_taken_from_the_recording_with_its_noise(pressure):
     assert abs(implied.parameters[name].value - TRUTH[name]) < 3.5 * implied.parameters[name].sd
 
 
+def test_start_value_is_taken_through_a_sensor_with_gain_and_gauge_reference(pressure):
+    circuit = control_line()
+    sensor = jl.PressureSensor("A", gain=1.02, offset=5e3, reference="gauge")
+    circuit = jl.Circuit(circuit.fluid, circuit.components | {"gauge": sensor})
+    noise = 1e3 * np.random.default_rng(9).standard_normal(TIMES.size)
+    data = jl.Recording(TIMES, {"gauge": 1.02 * (pressure - 101325.0) + 5e3 + noise, "flow": FLOW})
+    fit = jl.fit(circuit, data, free=FREE[:3])
+    assert fit.status == "converged"
+    assert fit.initial["A.pressure"] == pytest.approx(3e5, abs=4e3)
+    estimate = fit.parameters["fluid.air_fraction"]
+    assert abs(estimate.value - TRUTH["fluid.air_fraction"]) < 3.5 * estimate.sd
+
+
 def test_two_channels_get_their_own_noise(pressure):
     circuit = control_line()
     circuit = jl.Circuit(circuit.fluid, circuit.components | {"drain": jl.FlowSensor("leak.a")})

@@ -3,6 +3,7 @@
 import dataclasses
 import time
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,24 +22,46 @@ from jaxlines.simulation.simulate import simulate
 Progress = Callable[[str, float], None]
 
 
-def _measured_starts(circuit: Circuit, recording: Recording, free, initial: dict) -> tuple[dict, list[Known]]:
-    """Start values taken from the first usable sample, where they are neither free nor given.
+class MeasuredStart(NamedTuple):
+    """A start value taken from the first usable sample of a channel; gain: of the sensor that shows it."""
 
-    Each is a known number whose uncertainty is the noise of its channel (written in once that is known).
-    """
-    initial, known = dict(initial), []
+    name: str
+    channel: str
+    value: float
+    gain: float
+
+
+def _measured_start(circuit: Circuit, recording: Recording, name: str) -> MeasuredStart | None:
+    """The start value of a quantity from the channel that shows it, or from a sensor that reads it."""
+    shown = {name: (0.0, 1.0)}
+    for sensor_name, sensor in circuit.sensors().items():
+        if sensor.quantity_read() == name:
+            zero, slope = float(sensor.read(0.0, circuit.fluid)), float(sensor.slope(circuit.fluid))
+            shown[sensor_name] = (zero, slope)
+    for channel, (zero, slope) in shown.items():
+        if channel in recording.channels and recording.mask[channel].any() and slope != 0.0:
+            first = float(recording.channels[channel][np.argmax(recording.mask[channel])])
+            return MeasuredStart(name, channel, (first - zero) / slope, slope)
+    return None
+
+
+def _measured_starts(circuit: Circuit, recording: Recording, free, initial: dict) -> tuple[dict, list[MeasuredStart]]:
+    """Start pressures taken from the recording, where they are neither free nor given."""
+    initial, starts = dict(initial), []
     taken = {path for parameter in free for path in parameter.paths}
     for node, domain in circuit.nodes().items():
         name = f"{node}.pressure"
         wanted = initial.get(name) == "measured"
-        implied = name not in initial and name in recording.channels and f"initial.{name}" not in taken
+        implied = name not in initial and f"initial.{name}" not in taken
         if domain != "hydraulic" or node in circuit.fixed_nodes() or not (wanted or implied):
             continue
-        if name not in recording.channels or not recording.mask[name].any():
-            raise ValueError(f'initial {name} cannot be "measured": the recording has no usable channel {name!r}')
-        initial[name] = float(recording.channels[name][np.argmax(recording.mask[name])])
-        known.append(Known(f"initial.{name}", 1.0))
-    return initial, known
+        start = _measured_start(circuit, recording, name)
+        if start is not None:
+            initial[name] = start.value
+            starts.append(start)
+        elif wanted:
+            raise ValueError(f'initial {name} cannot be "measured": the recording has no usable channel that shows it')
+    return initial, starts
 
 
 def _first_sigma(problem: Problem, noise: dict[str, float]) -> np.ndarray:
@@ -149,8 +172,9 @@ def fit(
     initial, measured = _measured_starts(circuit, recording, free, initial or {})
     method = make_method(solver, "forward", max_steps)
     say("compiling the model", 0.0)
+    starting = [Known(f"initial.{s.name}", 1.0) for s in measured]  # their noise is written in once it is known
     problem = make_problem(
-        circuit, recording, free, [*known, *measured], initial, method, tolerance, precision, interpolation
+        circuit, recording, free, [*known, *starting], initial, method, tolerance, precision, interpolation
     )
     noise = dict(noise or {})
     _check_noise(problem, noise)
@@ -165,14 +189,11 @@ def fit(
     return _result(problem, best, sigma, analysis, derived, remarks, count + more, began, noise)
 
 
-def _with_measured_noise(problem: Problem, measured: list[Known], sigma: np.ndarray) -> Problem:
+def _with_measured_noise(problem: Problem, starts: list[MeasuredStart], sigma: np.ndarray) -> Problem:
     """The problem with the noise of the channels as uncertainty of the start values taken from them."""
-    paths = {number.path: number.path.removeprefix("initial.") for number in measured}
     level = dict(zip(problem.wanted, sigma, strict=True))
-    known = tuple(
-        dataclasses.replace(k, sd=float(level.get(paths[k.path], k.sd))) if k.path in paths else k
-        for k in problem.known
-    )
+    noise = {f"initial.{s.name}": float(level[s.channel] / abs(s.gain)) for s in starts}
+    known = tuple(dataclasses.replace(k, sd=noise.get(k.path, k.sd)) for k in problem.known)
     return dataclasses.replace(problem, known=known)
 
 

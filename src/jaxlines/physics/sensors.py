@@ -24,6 +24,10 @@ class AbstractSensor(eqx.Module):
     def read(self, value, fluid: Oil) -> Number:
         """What it shows when the quantity has this value."""
 
+    def slope(self, fluid: Oil) -> Number:
+        """Change of the reading with the quantity."""
+        return self.read(1.0, fluid) - self.read(0.0, fluid)
+
 
 class PressureSensor(AbstractSensor):
     """Pressure at a node: gain * p + offset, with p absolute or gauge [Pa].

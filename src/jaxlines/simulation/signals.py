@@ -74,10 +74,16 @@ class Sampled(AbstractSignal):
     SIAM J. Sci. Stat. Comput. 5, 1984 (slopes of equally weighted neighbours).
     """
 
-    times: Number = eqx.field(converter=as_number)
-    values: Number = eqx.field(converter=as_number)
-    method: str = eqx.field(static=True, default="linear")
-    delay: Number = quantity("s", low=-1e6, high=1e6, slip="was it given in ms?", default=0.0)
+    times: Number
+    values: Number
+    method: str = eqx.field(static=True)
+    delay: Number = quantity("s", low=-1e6, high=1e6, slip="was it given in ms?")
+    evenly_spaced: bool = eqx.field(static=True)
+
+    def __init__(self, times, values, method: str = "linear", delay=0.0):
+        self.times, self.values, self.delay = as_number(times), as_number(values), as_number(delay)
+        self.method = method
+        self.evenly_spaced = _evenly_spaced(self.times)
 
     def __check_init__(self):
         if self.method not in METHODS:
@@ -97,8 +103,7 @@ class Sampled(AbstractSignal):
     def __call__(self, t):
         times, values = jnp.asarray(self.times), jnp.asarray(self.values)
         t = t - (jump_time(self.delay) if self.method == "hold" else self.delay)
-        # A full comparison is one vectorised pass; a binary search is a loop of tiny operations on XLA's CPU.
-        index = jnp.clip(jnp.sum(times <= t) - 1, 0, times.size - 2)
+        index = _interval(times, t, self.evenly_spaced)
         if self.method == "hold":
             return jnp.where(t >= times[-1], values[-1], values[index])
         width, rise = times[index + 1] - times[index], values[index + 1] - values[index]
@@ -122,10 +127,31 @@ class Sampled(AbstractSignal):
         extra = size - self.times.size
         if extra <= 0:
             return self
-        step = self.times[-1] - self.times[-2]
+        step = (self.times[-1] - self.times[0]) / (self.times.size - 1)
         times = np.concatenate([self.times, self.times[-1] + step * np.arange(1, extra + 1)])
         values = np.concatenate([self.values, np.full(extra, self.values[-1])])
         return Sampled(times, values, self.method, self.delay)
+
+
+def _evenly_spaced(times) -> bool:
+    """Whether no sample is further than 0.4 steps from where equal steps would put it."""
+    if not is_concrete(times) or times.ndim != 1 or times.size < 2:
+        return False
+    even = np.linspace(times[0], times[-1], times.size)
+    return bool(np.max(np.abs(times - even)) < 0.4 * (even[1] - even[0]))
+
+
+def _interval(times, t, evenly_spaced: bool):
+    """Index of the sample at or before t, at most the last but one."""
+    last = times.size - 2
+    if evenly_spaced:
+        guess = (t - times[0]) / (times[-1] - times[0]) * (last + 1)
+        guess = jnp.clip(jnp.floor(guess).astype(int), 0, last)
+        guess = guess - (t < times[guess]) + (t >= times[guess + 1])  # rounding and jitter: one off at most
+        return jnp.clip(guess, 0, last)
+    if times.size <= 4096:  # one vectorised pass; a binary search is a loop of tiny operations on XLA's CPU
+        return jnp.clip(jnp.sum(times <= t) - 1, 0, last)
+    return jnp.clip(jnp.searchsorted(times, t, side="right") - 1, 0, last)
 
 
 def _monotone_slope(times, values, index):
