@@ -8,6 +8,7 @@ Writes example.svg. Its background is transparent and its ink is a grey that rea
 import argparse
 import sys
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 from matplotlib.figure import Figure
@@ -19,7 +20,7 @@ from jaxlines.inference.fit_result import Fit
 INK = "#7d8590"
 LARGEST = 100_000
 POINTS = 700
-STYLE = {
+STYLE: dict[Any, Any] = {
     "svg.hashsalt": "jaxlines",
     "text.color": INK,
     "axes.edgecolor": INK,
