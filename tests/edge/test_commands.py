@@ -90,8 +90,9 @@ def test_check_shows_what_is_there(study):
     result = run(app, ["check", study])
     assert result.exit_code == 0, result.output
     for words in (
-        "valve (FlowSource)", "inputs: flow", "200 samples", "L/min", "fluid.bulk_modulus: 6e+08 to 2.5e+09, log",
-        "line.parts.0.length: standard uncertainty 0.05", "validity of the lumped model", "2L/c0",
+        "valve (FlowSource)", "inputs: flow", "200 samples", "L/min",
+        "fluid.bulk_modulus: 0.6 to 2.5 GPa, log, search from 2.2 GPa",
+        "line.parts.0.length: standard uncertainty 50 mm", "validity of the lumped model", "2L/c0",
         "distance from the recording before any fit",
     ):  # fmt: skip
         assert words in result.stdout

@@ -69,8 +69,8 @@ def gap(frame):
     ("change", "words"),
     [
         (gap, "time: gap of 0.51 s after 0.99 s"),
-        (lambda f: f.update({"q [L/min]": np.full(200, 2.0)}), "flow (q [L/min]): constant at 3.33333e-05"),
-        (clip, "sit exactly at the highest value 1.18132e+06: clipped?"),
+        (lambda f: f.update({"q [L/min]": np.full(200, 2.0)}), "flow (q [L/min]): constant at 2 L/min"),
+        (clip, "sit exactly at the highest value 1.18132 MPa: clipped?"),
         (lambda f: f.update({"p [bar_g]": f["p [bar_g]"] * 500}), "is it kPa or psi, not bar?"),
         (lambda f: f.update({"t [s]": f["t [s]"] * 1000.0}), "the usual step is 10 s: are these milliseconds?"),
     ],

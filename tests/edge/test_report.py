@@ -9,7 +9,7 @@ import pytest
 
 import jaxlines as jl
 from jaxlines.catalogue.dsn70m_drive import axis_drive
-from jaxlines.edge.display import estimate_row, readable_unit, rounded
+from jaxlines.edge.display import estimate_row, readable_text, readable_unit, rounded
 from jaxlines.edge.drawing import circuit_svg
 from jaxlines.edge.plots import decimate, plot_bulk_modulus, plot_channel, plot_residuals, plot_wave_speed
 from jaxlines.edge.report import fit_report
@@ -99,7 +99,7 @@ def test_page_is_well_formed_and_complete(html):
     text = " ".join(" ".join(page.words).split())
     for words in (
         "Line <1> & test", "at_bound", "the optimum lies on a bound", "13 evaluations, 2.5 s", "fluid.bulk_modulus",
-        "1.3790", "0.0036", "1.3720 to 1.3860", "GPa", "isentropic & tangent", "< 4.3e-13", "not identified",
+        "1.3790", "0.0036", "1.3720 to 1.3860", "GPa", "isentropic & tangent", "< 2.58", "not identified",
         "line.wave_speed", "1186.4", "air and index only together", "the measured flow fixes the scale",
         "flow: constant <dead>", "-0.50", "do not look random", "wave speed [m/s]", "effective bulk modulus [GPa]",
         "A.pressure [MPa]", "residual [MPa]", "leak <1>", "LaminarLeak", "jax ",
@@ -229,7 +229,20 @@ def test_readable_units(unit, size, label, factor):
     assert readable_unit(unit, size) == (label, factor)
 
 
+@pytest.mark.parametrize(
+    ("sentence", "expected"),
+    [
+        ("1.365e+09 to 1.392e+09 Pa over 1 to 1.4", "1.365 to 1.392 GPa over 1 to 1.4"),
+        ("known with standard uncertainty 5e-05 m: 1 %", "known with standard uncertainty 0.05 mm: 1 %"),
+        ("leak 3e-12 m^3/(s*Pa)", "leak 18 cm³/(min·bar)"),
+        ("at 3.753 MPa, 1186 m/s, 0.5 s, 2 to 3 of 5", "at 3.753 MPa, 1186 m/s, 0.5 s, 2 to 3 of 5"),
+    ],
+)
+def test_numbers_in_sentences_read_well(sentence, expected):
+    assert readable_text(sentence) == expected
+
+
 def test_rows_of_estimates():
     assert estimate_row(INTERVAL)[:4] == ("1.3790", "0.0036", "1.3720 to 1.3860", "GPa")
-    assert estimate_row(LIMIT)[:4] == ("< 4.3e-13", "", "0 to 4.3e-13", "m³/(s·Pa)")
+    assert estimate_row(LIMIT)[:4] == ("< 2.58", "", "0 to 2.58", "cm³/(min·bar)")
     assert estimate_row(OPEN)[:4] == ("0.012000", "", "not identified", "")

@@ -55,10 +55,31 @@ def test_recording_initial_values_and_noise(study):
 def test_free_and_known(study):
     assert study.free == (
         Free("fluid.bulk_modulus", (0.6e9, 2.5e9), 2.2e9, "log"),
-        Free("initial.A.pressure", (1e5, 5e5)),
+        Free("initial.A.pressure", (1e5, 5e5), 2e5 + 101325.0),  # from [initial]
     )
     assert study.known == (Known("line.parts.0.length", 0.05),)
     assert study.fit_options == {"derived": ["line.effective_bulk_modulus"], "starts": 1, "seed": 0}
+
+
+@pytest.mark.parametrize(
+    ("change", "starts"),
+    [
+        (('start = "2.2 GPa"\n', ""), (1.5e9, 301325.0)),
+        (('"2 bar_g"', '"measured"'), (2.2e9, None)),
+        (('["1 bar_a", "5 bar_a"]', '["1 bar_a", "2 bar_a"]'), (2.2e9, None)),
+    ],
+)
+def test_search_starts_at_the_numbers_of_the_file_where_they_lie_inside_the_bounds(tmp_path, change, starts):
+    assert tuple(f.start for f in load_study(write_study(tmp_path, change)).free) == starts
+
+
+def test_window_of_the_recording(tmp_path):
+    file = 'file = "line.csv"'
+    study = load_study(write_study(tmp_path, (file, f'{file}\nwindow = ["500 ms", "1 s"]')))
+    assert study.recording is not None
+    assert (study.recording.times[0], study.recording.times[-1]) == pytest.approx((0.5, 1.0))
+    with pytest.raises(StudyError, match=r"recording.window: 0 samples lie between 10 s and 20 s"):
+        load_study(write_study(tmp_path, (file, f'{file}\nwindow = ["10 s", "20 s"]')))
 
 
 def test_simulate_table(study):
@@ -155,10 +176,10 @@ MISTAKES = [
     (('path = "fluid.bulk_modulus"', 'path = "fluid.bulk_modulos"'), "fit.free.0: no number is called 'fluid.bulk_m"),
     (('path = "initial.A.pressure"', 'path = "initial.C.pressure"'), "fit.free.1: no initial value is called 'C.pres"),
     (('bounds = ["0.6 GPa", "2.5 GPa"]\n', ""), "fit.free.0: 'bounds' is missing"),
-    (('["0.6 GPa", "2.5 GPa"]', '["2.5 GPa", "0.6 GPa"]'), "fit.free.0: fluid.bulk_modulus: bounds must be finite and"),
+    (('["0.6 GPa", "2.5 GPa"]', '["2.5 GPa", "0.6 GPa"]'), "fit.free.0 (numbers in Pa): fluid.bulk_modulus: bounds"),
     (('["0.6 GPa", "2.5 GPa"]', '["0.6 GPa"]'), "fit.free.0.bounds: list should have at least 2 items"),
     (('["1 bar_a", "5 bar_a"]', '["1 bar", "5 bar"]'), "fit.free.1.bounds: 'bar' does not say from where it counts"),
-    (('start = "2.2 GPa"', 'start = "22 GPa"'), "fit.free.0: fluid.bulk_modulus: start 2.2e+10 is outside its bounds"),
+    (('start = "2.2 GPa"', 'start = "22 GPa"'), "fit.free.0 (numbers in Pa): fluid.bulk_modulus: start 2.2e+10 is out"),
     (('transform = "log"', 'transform = "ln"'), "fit.free.0.transform: input should be 'identity', 'log' or 'logit'"),
     (('path = "fluid.bulk_modulus"', 'path = ["fluid.bulk_modulus", "fluid.density"]'), "have different units"),
     (('sd = "0.05 m"', 'sd = "-5 cm"'), "fit.known.0: line.parts.0.length: the standard uncertainty must be positive"),

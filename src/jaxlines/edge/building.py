@@ -48,7 +48,7 @@ def suggest(word: str, known) -> str:
     """ "did you mean ...?", or what is known."""
     known = list(known)
     near = difflib.get_close_matches(word, known, n=1, cutoff=0.6)
-    return f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
+    return f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known) or 'none'}"
 
 
 def _snake(name: str) -> str:

@@ -4,7 +4,7 @@ import contextlib
 import importlib.metadata
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -14,7 +14,7 @@ WRONG_CALL = 2
 FIT_FAILED = 1
 INTERRUPTED = 130
 
-UsageError = typer.BadParameter.__base__  # of click, which typer does not export
+UsageError: Any = typer.BadParameter.__base__  # of click, which typer does not export
 
 app = typer.Typer(
     add_completion=False,
@@ -89,9 +89,8 @@ def fit(study: StudyFile, out: Out = None, quiet: Quiet = False) -> None:
         from jaxlines.edge.study import load_study
 
         _writable(out)
+        loaded = load_study(study)
         with progress(quiet) as say:
-            say("reading the study", 0.0)
-            loaded = load_study(study)
             found = loaded.fit(say)
         show_fit(found, loaded.title)
         if out is not None:
@@ -112,9 +111,8 @@ def simulate(study: StudyFile, out: Out = None, quiet: Quiet = False) -> None:
         from jaxlines.edge.study import load_study
 
         _writable(out)
+        loaded = load_study(study)
         with progress(quiet) as say:
-            say("reading the study", 0.0)
-            loaded = load_study(study)
             say("simulating", 0.3)
             simulation = loaded.simulate()
         show_simulation(simulation, loaded.title, loaded.outputs)
@@ -132,9 +130,8 @@ def check(study: StudyFile, quiet: Quiet = False) -> None:
     with _one_line_errors(study):
         from jaxlines.edge.study import load_study
 
+        loaded = load_study(study)
         with progress(quiet) as say:
-            say("reading the study", 0.0)
-            loaded = load_study(study)
             say("simulating", 0.3)
             simulation = loaded.simulate(on_recording=True)
         show_study(loaded, simulation)

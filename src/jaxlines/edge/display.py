@@ -1,16 +1,22 @@
 """Numbers in SI as people read them: a fitting unit and no more digits than the uncertainty leaves."""
 
 import math
+import re
 from typing import NamedTuple
 
 from jaxlines.inference.uncertainty import Estimate
 
 _SCALES = {
-    "Pa": ((2e8, "GPa", 1e-9), (2e4, "MPa", 1e-6), (20.0, "kPa", 1e-3)),
+    "Pa": ((2e8, "GPa", 1e-9), (5e5, "MPa", 1e-6), (20.0, "kPa", 1e-3)),
+    "m^3/(s*Pa)": ((1e-10, "L/(min·bar)", 6e9), (0.0, "cm³/(min·bar)", 6e12)),
     "m^3/s": ((0.0, "L/min", 6e4),),
     "m^3": ((1.0, "m³", 1.0), (0.0, "L", 1e3)),
+    "m": ((0.1, "m", 1.0), (0.0, "mm", 1e3)),
     "s": ((1.0, "s", 1.0), (0.0, "ms", 1e3)),
 }
+_NUMBER = r"[+-]?\d+\.?\d*(?:e[+-]?\d+)?"
+_UNITS = "|".join(re.escape(unit) for unit in _SCALES if unit != "s")
+_IN_SI = re.compile(rf"(?<![\w.])({_NUMBER})( to | \.\. )?((?(2){_NUMBER})) ({_UNITS})(?![\w^*/])")
 
 
 def readable_unit(unit: str, size: float) -> tuple[str, float]:
@@ -19,6 +25,17 @@ def readable_unit(unit: str, size: float) -> tuple[str, float]:
         if math.isfinite(size) and abs(size) >= least:
             return label, factor
     return ("" if unit == "1" else unit.replace("^2", "²").replace("^3", "³").replace("*", "·")), 1.0
+
+
+def readable(unit: str, *numbers: float) -> str:
+    """Numbers of one unit [SI] as "0.6 to 3 GPa"."""
+    label, factor = readable_unit(unit, max(numbers, key=abs))
+    return f"{' to '.join(f'{number * factor:.4g}' for number in numbers)} {label}".strip()
+
+
+def readable_text(sentence: str) -> str:
+    """A sentence with its numbers in SI ("1.365e+09 to 1.392e+09 Pa") in units that read well."""
+    return _IN_SI.sub(lambda m: readable(m[4], *(float(number) for number in (m[1], m[3]) if number)), sentence)
 
 
 def rounded(value: float, sd: float | None) -> str:
@@ -47,11 +64,11 @@ def estimate_row(estimate: Estimate) -> Row:
     """An estimate as a row of a table."""
     limit = estimate.ci95[1] if estimate.kind == "upper_limit" and estimate.ci95 else None
     unit, factor = readable_unit(estimate.unit, estimate.value if limit is None else limit)
-    sd = None if estimate.sd is None else estimate.sd * factor
+    sd, note = None if estimate.sd is None else estimate.sd * factor, readable_text(estimate.note)
     value = rounded(estimate.value * factor, sd)
     if limit is not None:
-        return Row(f"< {limit * factor:.3g}", "", f"0 to {limit * factor:.3g}", unit, estimate.note)
+        return Row(f"< {limit * factor:.3g}", "", f"0 to {limit * factor:.3g}", unit, note)
     if estimate.ci95 is None or sd is None:
-        return Row(value, "", "not identified", unit, estimate.note)
+        return Row(value, "", "not identified", unit, note)
     low, high = (rounded(end * factor, sd) for end in estimate.ci95)
-    return Row(value, f"{sd:.2g}", f"{low} to {high}", unit, estimate.note)
+    return Row(value, f"{sd:.2g}", f"{low} to {high}", unit, note)

@@ -106,8 +106,11 @@ def _check_times(times, column: str, path: Path) -> None:
     steps = np.diff(times)
     if not np.all(steps > 0):
         row = int(np.argmin(steps > 0)) + 2
+        repeated = steps[row - 2] == 0
         slip = (
-            "is the time rounded too far, or a row repeated?" if steps[row - 2] == 0 else "are rows out of order, or two runs in one file?"
+            "is the time rounded too far, or a row repeated?"
+            if repeated
+            else "are rows out of order, or two runs in one file?"
         )
         raise ValueError(
             f"{where} does not increase in data row {row} ({times[row - 2]:g} s, then {times[row - 1]:g} s): {slip}"
@@ -162,7 +165,8 @@ def _channel_warnings(values, where: str, si_unit: str) -> list[str]:
         if at.sum() >= max(5, 0.01 * finite.size) and longest >= 3:
             share = 100.0 * at.sum() / finite.size
             found.append(
-                f"{where}: {share:.2g} % of the samples sit exactly at the {word} value {extreme * factor:.6g} {unit}: clipped?"
+                f"{where}: {share:.2g} % of the samples sit exactly at the {word} value "
+                f"{extreme * factor:.6g} {unit}: clipped?"
             )
     return found
 

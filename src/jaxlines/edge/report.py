@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxlines.edge.display import estimate_row, readable_unit
+from jaxlines.edge.display import estimate_row, readable_text, readable_unit
 from jaxlines.edge.drawing import circuit_svg
 from jaxlines.edge.plots import MAX_POINTS, SIMULATED, plot_bulk_modulus, plot_channel, plot_residuals, plot_wave_speed
 from jaxlines.inference.analysis import ChannelFit
@@ -135,7 +135,7 @@ def fit_report(fit: Fit, title: str) -> str:
         title=title,
         status=fit.status,
         mood=_STATUS[fit.status],
-        message=fit.message,
+        message=readable_text(fit.message),
         effort=f"{fit.num_evaluations} evaluations, {fit.seconds:.1f} s",
         circuit=circuit_svg(fit.circuit),
         parameters=[(name, estimate_row(estimate)) for name, estimate in fit.parameters.items()],
@@ -143,9 +143,9 @@ def fit_report(fit: Fit, title: str) -> str:
         correlations=_correlations(fit),
         channels=[_channel_figure(name, channel, limit) for name, channel in fit.channels.items()],
         curves=[_curve_figure(name, curve) for name, curve in fit.curves.items()],
-        identifiability=fit.identifiability,
-        scale=fit.scale,
-        warnings=fit.warnings,
+        identifiability=[readable_text(sentence) for sentence in fit.identifiability],
+        scale=[readable_text(sentence) for sentence in fit.scale],
+        warnings=[readable_text(sentence) for sentence in fit.warnings],
         validity=fit.validity.sentences() if fit.validity else [],
         valid=fit.validity is None or fit.validity.ok,
         versions=_versions(),

@@ -9,9 +9,11 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from jaxlines.edge.display import estimate_row, readable_unit
+from jaxlines.edge.display import estimate_row, readable, readable_text, readable_unit
+from jaxlines.edge.naming import path_metadata
 from jaxlines.edge.study import Study
 from jaxlines.inference.fit_result import Fit
+from jaxlines.inference.parameters import Free
 from jaxlines.simulation.result import Simulation
 
 
@@ -61,7 +63,7 @@ def _sentences(console: Console, heading: str, sentences) -> None:
     if sentences:
         console.print(f"\n[bold]{heading}[/bold]")
         for sentence in sentences:
-            console.print(f"  - {escape(sentence)}", soft_wrap=not console.is_terminal)
+            console.print(f"  - {escape(readable_text(sentence))}", soft_wrap=not console.is_terminal)
 
 
 def show_fit(fit: Fit, title: str) -> None:
@@ -69,7 +71,7 @@ def show_fit(fit: Fit, title: str) -> None:
     console = _console()
     colour = {"converged": "green", "failed": "red"}.get(fit.status, "yellow")
     console.print(f"[bold]{escape(title)}[/bold]")
-    console.print(f"[{colour}]{fit.status}[/{colour}]: {escape(fit.message)} ({fit.seconds:.1f} s)\n")
+    console.print(f"[{colour}]{fit.status}[/{colour}]: {escape(readable_text(fit.message))} ({fit.seconds:.1f} s)\n")
     table = _table("number", "estimate", "sd", "95 % interval", "unit")
     for name, estimate in (fit.parameters | fit.derived).items():
         row = estimate_row(estimate)
@@ -79,8 +81,8 @@ def show_fit(fit: Fit, title: str) -> None:
     notes = [f"{name}: {e.note}" for name, e in (fit.parameters | fit.derived).items() if e.note]
     _sentences(console, "notes", notes)
     channels = [
-        f"{name}: rmse {channel.rmse:.4g} {channel.unit}, noise {channel.sigma:.4g} {channel.unit}, residuals "
-        f"{'white' if channel.white else 'NOT white'} (p = {channel.whiteness_p:.2g})"
+        f"{name}: rmse {readable(channel.unit, channel.rmse)}, noise {readable(channel.unit, channel.sigma)}, "
+        f"residuals {'white' if channel.white else 'NOT white'} (p = {channel.whiteness_p:.2g})"
         for name, channel in fit.channels.items()
     ]
     _sentences(console, "channels", channels)
@@ -129,10 +131,23 @@ def show_study(study: Study, simulation: Simulation) -> None:
         console.print(_statistics({name: (values, known[name]["unit"]) for name, values in channels.items()}))
         _sentences(console, "warnings", study.recording.warnings)
         _sentences(console, "distance from the recording before any fit", _distances(study, simulation))
-    free = [f"{f.label}: {f.bounds[0]:.5g} to {f.bounds[1]:.5g}, {f.transform}" for f in study.free]
-    _sentences(console, "free (SI)", free)
-    _sentences(console, "known (SI)", [f"{k.path}: standard uncertainty {k.sd:.4g}" for k in study.known])
+    _sentences(console, "free", [_described(study, parameter) for parameter in study.free])
+    known = [f"{k.path}: standard uncertainty {readable(_unit(study, k.path), k.sd)}" for k in study.known]
+    _sentences(console, "known", known)
     console.print()
+
+
+def _unit(study: Study, path: str) -> str:
+    """The SI unit of a number of the circuit."""
+    return path_metadata(study.circuit, study.names, path, path)["unit"]
+
+
+def _described(study: Study, parameter: Free) -> str:
+    """A free parameter in one line: bounds, transform, start."""
+    unit = _unit(study, parameter.paths[0])
+    start = float(parameter.to_value(parameter.start_coordinate()))
+    bounds = readable(unit, *parameter.bounds)
+    return f"{parameter.label}: {bounds}, {parameter.transform}, search from {readable(unit, start)}"
 
 
 def _distances(study: Study, simulation: Simulation) -> list[str]:
@@ -142,6 +157,5 @@ def _distances(study: Study, simulation: Simulation) -> list[str]:
     for name, values in study.recording.channels.items():
         if name in simulation.outputs and np.array_equal(simulation.times, study.recording.times):
             rmse = float(np.sqrt(np.nanmean((values - np.asarray(simulation[name])) ** 2)))
-            unit, factor = readable_unit(simulation.units[name], rmse)
-            found.append(f"{name}: {rmse * factor:.4g} {unit}")
+            found.append(f"{name}: {readable(simulation.units[name], rmse)}")
     return found

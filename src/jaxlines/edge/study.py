@@ -9,18 +9,15 @@ from typing import Any
 import numpy as np
 
 from jaxlines.edge.building import Builder, StudyError, build_circuit
-from jaxlines.edge.naming import Names, at, look_up, names_of, path_metadata
-from jaxlines.edge.reading import MIN_SAMPLES, read_recording
-from jaxlines.edge.tables import FitTable, NumericsTable, RecordingTable, SimulateTable, check_layout
-from jaxlines.inference.curves import check_derived
+from jaxlines.edge.fit_tables import check_fit, study_noise, study_parameters, study_recording
+from jaxlines.edge.naming import Names, at, look_up, names_of
+from jaxlines.edge.tables import NumericsTable, SimulateTable, check_layout
 from jaxlines.inference.fit import fit
 from jaxlines.inference.fit_result import Fit
 from jaxlines.inference.parameters import Free, Known
-from jaxlines.inference.problem import check_parameters, recorded_inputs
 from jaxlines.inference.recording import Recording
 from jaxlines.simulation.circuit import Circuit
 from jaxlines.simulation.integration import implicit
-from jaxlines.simulation.observation import is_gauge
 from jaxlines.simulation.result import Simulation
 from jaxlines.simulation.signals import Sampled
 from jaxlines.simulation.simulate import simulate
@@ -111,99 +108,6 @@ class Study:
         return signals
 
 
-def _read_recording(
-    table: RecordingTable, folder: Path, circuit: Circuit, names: Names, builder: Builder
-) -> Recording:
-    """The recording of a study; the pressures of gauge sensors are gauge again."""
-    known, where, atmosphere = {**names.outputs, **names.inputs}, "recording.channels", builder.atmospheric_pressure
-    units = {channel: look_up(channel, known, where, "output or input")["unit"] for channel in table.channels}
-    with at("recording"):
-        recording = read_recording(
-            folder / table.file, time=table.time, channels=table.channels, atmospheric_pressure=atmosphere, units=units
-        )
-    channels = {
-        name: values - atmosphere if is_gauge(circuit, name) else values for name, values in recording.channels.items()
-    }
-    recording = dataclasses.replace(recording, channels=channels)
-    if table.window is None:
-        return recording
-    start, stop = (builder.number(end, {"unit": "s"}, "recording.window") for end in table.window)
-    return _window(recording, start, stop)
-
-
-def _window(recording: Recording, start: float, stop: float) -> Recording:
-    """A piece of a recording [s]. Raises StudyError when too little of it is left."""
-    piece = (recording.times >= start) & (recording.times <= stop)
-    if piece.sum() < MIN_SAMPLES:
-        span = f"{recording.times[0]:g} s to {recording.times[-1]:g} s"
-        raise StudyError(
-            f"recording.window: {piece.sum()} samples lie between {start:g} s and {stop:g} s, which is less than "
-            f"{MIN_SAMPLES}; the recording goes from {span}"
-        )
-    return recording.window(start, stop)
-
-
-def _noise(given: dict, names: Names, builder: Builder) -> dict[str, float]:
-    """Standard deviations of the noise in SI."""
-    noise = {}
-    for name, value in given.items():
-        metadata = {**look_up(name, names.outputs, "recording.noise", "output"), "level": False}
-        noise[name] = builder.number(value, metadata, f"recording.noise.{name}")
-    return noise
-
-
-def _first_guess(path: str, bounds, circuit: Circuit, initial: dict) -> float | None:
-    """The number of the file, from which a fit starts; None where it is not inside the bounds."""
-    owner, _, name = path.partition(".")
-    guess = initial.get(name) if owner == "initial" else circuit[path]
-    if guess is None or isinstance(guess, str) or np.ndim(guess) > 0:
-        return None
-    return float(guess) if bounds[0] < guess < bounds[1] else None
-
-
-def _parameters(table: FitTable, circuit: Circuit, names: Names, initial: dict, builder: Builder):
-    """Free and known parameters in SI."""
-    free, known = [], []
-    for i, entry in enumerate(table.free):
-        where = f"fit.free.{i}"
-        metadata = [path_metadata(circuit, names, path, where) for path in entry.path]
-        if len({m["unit"] for m in metadata}) > 1:
-            raise StudyError(f"{where}: {', '.join(entry.path)} have different units: they cannot share a value")
-        low, high = (builder.number(bound, metadata[0], f"{where}.bounds") for bound in entry.bounds)
-        start = _first_guess(entry.path[0], (low, high), circuit, initial)
-        if entry.start is not None:
-            start = builder.number(entry.start, metadata[0], f"{where}.start")
-        path = entry.path[0] if len(entry.path) == 1 else tuple(entry.path)
-        with at(where):
-            free.append(Free(path, (low, high), start, entry.transform, entry.name))
-    for i, entry in enumerate(table.known):
-        where = f"fit.known.{i}"
-        metadata = {**path_metadata(circuit, names, entry.path, where), "level": False}
-        sd = builder.number(entry.sd, metadata, f"{where}.sd")
-        with at(where):
-            known.append(Known(entry.path, sd))
-    with at("fit"):
-        check_parameters(circuit, free, known, names.numbers)
-    return tuple(free), tuple(known)
-
-
-def _check_fit(study: Study) -> None:
-    """Raise StudyError for what would stop a fit of this study."""
-    with at("fit.derived"):
-        for name in study.fit_options["derived"]:
-            check_derived(study.circuit, name)
-    if study.recording is None:
-        return
-    with at("recording"):
-        recorded_inputs(study.circuit, study.recording, "linear")
-    for name, values in study.recording.channels.items():
-        if name in study.names.outputs and np.ptp(values[study.recording.mask[name]]) == 0.0:
-            raise StudyError(
-                f"recording.channels: {name!r} is constant, so that nothing can be fitted to it: is the channel dead? "
-                "Name another column or leave it out"
-            )
-
-
 def _simulation(table: SimulateTable, names: Names, builder: Builder) -> dict:
     """Times, inputs and outputs of [simulate]."""
     start, stop = (builder.number(getattr(table, end), {"unit": "s"}, f"simulate.{end}") for end in ("start", "stop"))
@@ -248,19 +152,17 @@ def _build(content: dict, folder: Path, source: str) -> Study:
         names = names_of(circuit)
     recording, found = None, {}
     if layout.recording is not None:
-        recording = _read_recording(layout.recording, folder, circuit, names, builder)
-        found["noise"] = _noise(layout.recording.noise, names, builder)
+        recording = study_recording(layout.recording, folder, circuit, names, builder)
+        found["noise"] = study_noise(layout.recording.noise, names, builder)
     initial = _initial(layout.initial, names, recording, builder)
     if layout.fit is not None:
-        found["free"], found["known"] = _parameters(layout.fit, circuit, names, initial, builder)
+        found["free"], found["known"] = study_parameters(layout.fit, circuit, names, initial, builder)
         found["fit_options"] = layout.fit.model_dump(include={"derived", "starts", "seed"})
+        check_fit(circuit, recording, names, layout.fit.derived)
     if layout.simulate is not None:
         found |= _simulation(layout.simulate, names, builder)
     found |= {"initial": initial, "numerics": _numerics(layout.numerics)}
-    study = Study(layout.title or Path(source).stem, source, circuit, names, recording=recording, **found)
-    if study.free:
-        _check_fit(study)
-    return study
+    return Study(layout.title or Path(source).stem, source, circuit, names, recording=recording, **found)
 
 
 def _locate(source: str) -> Path:

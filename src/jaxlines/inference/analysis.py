@@ -141,7 +141,10 @@ def influences(
         percent = -(inverse @ change) * analysis.steps / np.where(found.values == 0.0, 1.0, found.values) * 100.0
         affected = [f"{labels[i]} by {percent[i]:+.2g} %" for i in np.flatnonzero(firm & (np.abs(percent) > limit))]
         if affected:
-            how = f"known with standard uncertainty {_with_unit(problem, path, sds[path])}" if path in sds else "taken as exact"
+            known = path in sds
+            how = (
+                f"known with standard uncertainty {_with_unit(problem, path, sds[path])}" if known else "taken as exact"
+            )
             sentences.append(f"{path} is {how}: 1 % more in it moves {', '.join(affected)}")
     return tuple(sentences)
 
