@@ -126,7 +126,7 @@ def refused(capsys, words: str, arguments=("fit", "study.toml", "--quiet"), star
 @pytest.mark.parametrize(("change", "words"), IN_STUDY, ids=[words[:40] for _, words in IN_STUDY])
 def test_in_a_study(folder, capsys, change, words):
     assert change[0] in TEXT
-    Path("study.toml").write_text(TEXT.replace(*change, 1), encoding="utf-8")
+    Path("study.toml").write_text(TEXT.replace(change[0], change[1], 1), encoding="utf-8")
     refused(capsys, words)
 
 
