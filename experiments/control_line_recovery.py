@@ -94,6 +94,11 @@ def half_width(estimate) -> float:
     return (estimate.ci95[1] - estimate.ci95[0]) / 2.0 / estimate.value
 
 
+def inside(estimate, truth: float) -> bool:
+    """Whether the truth lies in the 95 % interval."""
+    return estimate.kind == "interval" and estimate.ci95[0] <= truth <= estimate.ci95[1]
+
+
 def judge(study, found: dict[str, Fit], same: bool) -> tuple[dict, dict[str, bool]]:
     """The numbers that the claims are about, and whether each claim holds."""
     truth, example, statistical = truths(), found["example"].parameters, found["statistical"].parameters
@@ -119,7 +124,7 @@ def judge(study, found: dict[str, Fit], same: bool) -> tuple[dict, dict[str, boo
         "starts are far from the truth": min(away.values()) >= START_DISTANCE * (1.0 - 1e-9),
         "intervals are narrow": all(narrow),
         "bias is small": max(bias.values()) <= BIAS_LIMIT,
-        "truth lies inside the intervals": all(e.ci95[0] <= truth[name] <= e.ci95[1] for name, e in example.items()),
+        "truth lies inside the intervals": all(inside(e, truth[name]) for name, e in example.items()),
         "residuals are white": channel.white,
         "missing air is noticed": not airless.channels["A.pressure"].white
         and any("A.pressure are not white" in warning for warning in airless.warnings),
@@ -159,7 +164,7 @@ def finding(numbers: dict, found: dict[str, Fit], claims: dict[str, bool]) -> st
 
 def main() -> int:
     """Make the recordings, fit, judge, write `results.json`."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, required=True, help="folder for the recordings and results.json")
     folder = parser.parse_args().out
     noisy, noise_free = make_recordings(folder)

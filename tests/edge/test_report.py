@@ -4,15 +4,17 @@ import re
 import xml.etree.ElementTree as ElementTree
 from html.parser import HTMLParser
 
+import matplotlib
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import jaxlines as jl
 from jaxlines.catalogue.dsn70m_drive import axis_drive
 from jaxlines.edge.display import estimate_row, readable_text, readable_unit, rounded
 from jaxlines.edge.drawing import circuit_svg
 from jaxlines.edge.plots import decimate, plot_bulk_modulus, plot_channel, plot_residuals, plot_wave_speed
-from jaxlines.edge.report import fit_report
+from jaxlines.edge.report import fit_report, inline_svg
 from jaxlines.inference.analysis import ChannelFit
 from jaxlines.inference.curves import Curve
 from jaxlines.inference.fit_result import Fit
@@ -105,6 +107,15 @@ def test_page_is_well_formed_and_complete(html):
         "A.pressure [MPa]", "residual [MPa]", "leak <1>", "LaminarLeak", "jax ",
     ):  # fmt: skip
         assert words in text, words
+
+
+def test_numbers_on_an_axis_keep_their_digits():
+    figure = Figure(figsize=(4, 3))
+    figure.add_subplot().set(ylim=(1.0401, 1.0601), yticks=(1.045, 1.055))
+    with matplotlib.rc_context({"svg.fonttype": "none"}):
+        svg = inline_svg(figure, "two ticks")
+    assert ">1.045<" in svg and ">1.055<" in svg
+    assert not re.search(r'="[^"]*\d\.\d{3}', svg)
 
 
 def test_page_needs_no_network(html):

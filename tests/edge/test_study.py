@@ -195,6 +195,12 @@ MISTAKES = [
 ]  # fmt: skip
 
 
+def test_byte_order_mark_of_an_editor_is_let_pass(tmp_path):
+    path = write_study(tmp_path)
+    path.write_text(path.read_text(encoding="utf-8"), encoding="utf-8-sig")
+    assert load_study(path).title == "Control line, bench test"
+
+
 @pytest.mark.parametrize(("change", "message"), MISTAKES, ids=[message[:50] for _, message in MISTAKES])
 def test_mistakes_are_one_line_with_place_and_remedy(tmp_path, change, message):
     path = write_study(tmp_path, change)

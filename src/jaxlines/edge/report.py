@@ -19,6 +19,7 @@ from jaxlines.inference.fit_result import Fit
 _INK = "#010203"
 # A colour that nothing else has: it stands for the text colour of the page, whatever that is.
 _POINTS_OF_A_PAGE = 24_000
+_DECIMALS = re.compile(r"\d+\.\d{3,}")
 _STATUS = {"converged": "good", "at_bound": "fair", "stalled": "fair", "failed": "bad"}
 _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
@@ -46,7 +47,7 @@ def inline_svg(figure, description: str) -> str:
     svg = buffer.getvalue()
     svg = svg[svg.index("<svg") :].replace(_INK, "currentColor").replace(SIMULATED, "var(--blue)")
     svg = re.sub(r'<g id="[^"]*">', "<g>", svg)
-    svg = re.sub(r"\d+\.\d{3,}", lambda number: f"{float(number[0]):.2f}", svg)
+    svg = re.sub(r"<[^>]*>", lambda tag: _DECIMALS.sub(lambda number: f"{float(number[0]):.2f}", tag[0]), svg)
     svg = re.sub(r"font: ([\d.]+px) [^;\"]*", r"font: \1 var(--font)", svg)
     svg = re.sub(
         r'(<svg[^>]*?) width="[^"]*"', r"\1", re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", svg, count=1), count=1

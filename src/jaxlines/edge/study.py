@@ -188,7 +188,7 @@ def load_study(source) -> Study:
         if not path.is_file():
             raise StudyError("is a folder, not a study file" if path.is_dir() else "no such file")
         try:
-            content = tomllib.loads(path.read_text(encoding="utf-8"))
+            content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise StudyError(f"not valid TOML: {error}") from error
         return _build(content, path.parent, source)

@@ -95,7 +95,7 @@ def _waves(line: LineValidity) -> str:
     limits += f", first resonance at {line.first_resonance:.3g} Hz"
     if f == 0.0:
         return f"{trip}, nothing oscillates; the input impedance of the lumped line is off by {limits}"
-    holds = f"{trip} < 1/f = {1e3 / f:.3g} ms holds" if line.article_condition else f"{trip} >= 1/f = {1e3 / f:.3g} ms"
+    holds = f"{trip} < 1/f = {1e3 / f:.4g} ms holds" if line.article_condition else f"{trip} >= 1/f = {1e3 / f:.4g} ms"
     joint = "but" if line.article_condition and line.impedance_error > ERROR_LIMIT else "and"
     error = f"the input impedance of the lumped line is off by {100 * line.impedance_error:.3g} % at {f:.3g} Hz"
     return f"{holds}, {joint} {error}; {limits}"
