@@ -87,13 +87,13 @@ def summarise_carry_over(errors: dict, groups: dict) -> dict:
     constant, air = (errors[name] for name in MODELS)
     differences = np.array([np.mean([air[i] - constant[i] for i in members]) for members in groups.values()])
     spread = float(differences.std(ddof=1) / np.sqrt(differences.size)) if differences.size > 1 else float("nan")
-    found["air minus constant"] = {
+    comparison = {
         "mean": float(differences.mean()),
         "standard_error": None if np.isnan(spread) else spread,
         "groups": int(differences.size),
         "groups_where_air_is_better": int((differences < 0).sum()),
     }
-    return found
+    return {**found, "air minus constant": comparison}
 
 
 def verdict(carried: dict) -> str:

@@ -53,12 +53,12 @@ def read_run(run_id: int, unit: str, table: pd.DataFrame) -> Ringdown:
     pressure = ports[port]
     stroke = np.unwrap(table["Angle"].to_numpy(float), period=COUNTS_PER_TURN)
     stroke = (stroke - np.median(stroke[:5])) * np.sign(np.median(stroke[-500:]) - np.median(stroke[:5]))
-    rate = savgol_filter(stroke, 9, 1, deriv=1) * RATE
+    rate = np.asarray(savgol_filter(stroke, 9, 1, deriv=1)) * RATE
     stop = stop_index(stroke, rate)
     first, last = stop - BEFORE, stop + AFTER + 1
     if first < 5 or last + 100 > pressure.size or not np.all(np.isfinite(pressure)):
         raise ValueError(f"run {run_id}: no whole stroke and ring-down (stop at sample {stop} of {pressure.size})")
-    smooth = savgol_filter(pressure[first:last], 9, 2)
+    smooth = np.asarray(savgol_filter(pressure[first:last], 9, 2))
     peak = BEFORE + int(np.argmax(smooth[BEFORE : BEFORE + 60]))
     trough = peak + int(np.argmin(smooth[peak : peak + 60]))
     return Ringdown(

@@ -68,7 +68,7 @@ def test_recordings_refuse_what_cannot_be_a_recording():
 
 def test_missing_samples_are_masked_and_windows_keep_it():
     values = np.array([1.0, np.nan, 3.0, 4.0, 5.0])
-    recording = jl.Recording(np.arange(5.0), {"p": values}, mask={"p": [True, True, True, False, True]})
+    recording = jl.Recording(np.arange(5.0), {"p": values}, mask={"p": np.array([True, True, True, False, True])})
     assert recording.mask["p"].tolist() == [True, False, True, False, True]
     part = recording.window(1.0, 3.0)
     assert part.times.tolist() == [1.0, 2.0, 3.0]

@@ -82,6 +82,7 @@ def derived_estimate(problem: Problem, found: Found, analysis: Analysis, simulat
     check_derived(problem.circuit, name)
     owner, _, method = name.partition(".")
     component = problem.circuit.components[owner]
+    assert isinstance(component, Line)
     pressure = float(np.median(_visited(simulation, component)))
     needs = inspect.signature(getattr(component, method)).parameters
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from jaxlines.inference.parameters import Free, Known
 from jaxlines.inference.recording import Recording
-from jaxlines.physics.fields import AbstractSignal
 from jaxlines.simulation.assembly import Plan, Values, compile_circuit, number_locations, set_numbers
 from jaxlines.simulation.circuit import Circuit, field_metadata
 from jaxlines.simulation.integration import Method, integrate, integrate_with_sensitivities
@@ -94,7 +93,7 @@ class Problem:
     free: tuple[Free, ...]
     known: tuple[Known, ...]
     initial: dict
-    inputs: dict[str, AbstractSignal]
+    inputs: dict[str, Sampled]
     plan: Plan
     values: Values
     wanted: tuple[str, ...]
@@ -211,9 +210,10 @@ def recorded_inputs(circuit: Circuit, recording: Recording, interpolation: str) 
     return signals
 
 
-def _bound(circuit: Circuit, recording: Recording, interpolation: str) -> tuple[dict, dict]:
+def _bound(circuit: Circuit, recording: Recording, interpolation: str) -> tuple[dict[str, Sampled], dict[str, Sampled]]:
     """The recorded inputs as signals, and the same padded to a bucket."""
-    signals = bind_inputs(circuit, recorded_inputs(circuit, recording, interpolation), recording.times)
+    signals = recorded_inputs(circuit, recording, interpolation)
+    bind_inputs(circuit, signals, recording.times)
     return signals, {name: signal.padded(bucket(recording.times.size)) for name, signal in signals.items()}
 
 

@@ -175,7 +175,7 @@ def start_points(problem: Problem, count: int, seed: int) -> np.ndarray:
     from scipy.stats import qmc
 
     bounds = np.array([f.coordinate_bounds() for f in problem.free])
-    sobol = qmc.Sobol(len(problem.free), seed=seed)
+    sobol = qmc.Sobol(len(problem.free), rng=seed)
     unit = sobol.random(2 ** int(np.ceil(np.log2(count))))[: count - 1]
     return np.concatenate([first[None], bounds[:, 0] + unit * (bounds[:, 1] - bounds[:, 0])])
 

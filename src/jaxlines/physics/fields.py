@@ -6,6 +6,7 @@ likely slip) is what study files, error messages and reports read, so that it is
 """
 
 import dataclasses
+from abc import abstractmethod
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
@@ -30,9 +31,9 @@ ATMOSPHERE = 101325.0
 class AbstractSignal(eqx.Module):
     """A number as a function of time, `signal(t)`, with the times of its jumps as data."""
 
+    @abstractmethod
     def __call__(self, t):
         """Value at time t [s]."""
-        raise NotImplementedError
 
     def jump_times(self):
         """Times [s] at which the value jumps, shape (jumps,)."""

@@ -130,6 +130,12 @@ def _solve(method: Method, adjoint, field, start, save, values: Values, times, t
     )
 
 
+def _saved(solution: diffrax.Solution) -> tuple:
+    """What was saved at the requested times."""
+    assert solution.ys is not None
+    return solution.ys
+
+
 def _trajectory(solution: diffrax.Solution, outputs, lowest, values: Values) -> Trajectory:
     """The outputs with their status."""
     lowest = jnp.min(lowest)
@@ -151,7 +157,8 @@ def integrate(plan: Plan, wanted: tuple[str, ...], method: Method, values: Value
         return _field(plan, t, y, values)
 
     solution = _solve(method, method.adjoint(), field, _start(plan, values), save, values, times, tolerance)
-    return _trajectory(solution, *solution.ys, values)
+    outputs, lowest = _saved(solution)
+    return _trajectory(solution, outputs, lowest, values)
 
 
 def integrate_with_sensitivities(
@@ -191,8 +198,8 @@ def integrate_with_sensitivities(
         return shown, _lowest_pressure(plan, state), shown_slopes.T
 
     start = jnp.concatenate([start, start_slopes.ravel()])
-    solution = _solve(method, diffrax.DirectAdjoint(), field, start, save, values, times, tolerance)
-    outputs, lowest, output_slopes = solution.ys
+    solution = _solve(method, diffrax.ForwardMode(), field, start, save, values, times, tolerance)
+    outputs, lowest, output_slopes = _saved(solution)
     return _trajectory(solution, outputs, lowest, values), output_slopes
 
 

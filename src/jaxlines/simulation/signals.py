@@ -78,7 +78,7 @@ class Sampled(AbstractSignal):
     values: Number
     method: str = eqx.field(static=True)
     delay: Number = quantity("s", low=-1e6, high=1e6, slip="was it given in ms?")
-    evenly_spaced: bool = eqx.field(static=True)
+    evenly_spaced: bool = eqx.field(static=True)  # pyright: ignore[reportGeneralTypeIssues]
 
     def __init__(self, times, values, method: str = "linear", delay=0.0):
         self.times, self.values, self.delay = as_number(times), as_number(values), as_number(delay)
