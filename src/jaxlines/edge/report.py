@@ -15,6 +15,7 @@ from jaxlines.edge.plots import MAX_POINTS, SIMULATED, plot_bulk_modulus, plot_c
 from jaxlines.inference.analysis import ChannelFit
 from jaxlines.inference.curves import Curve
 from jaxlines.inference.fit_result import Fit
+from jaxlines.inference.uncertainty import p_value_text
 
 _INK = "#010203"
 # A colour that nothing else has: it stands for the text colour of the page, whatever that is.
@@ -74,7 +75,12 @@ def _channel_figure(name: str, channel: ChannelFit, limit: int) -> dict:
         plot_channel(channel, name, upper, limit).set_xlabel("")
         plot_residuals(channel, name, lower, limit)
         alt = f"{name} over time, measured and simulated, and the residuals below; {summary}"
-        return {"name": name, "summary": summary, "p": f"{channel.whiteness_p:.2g}", "svg": inline_svg(figure, alt)}
+        return {
+            "name": name,
+            "summary": summary,
+            "p": p_value_text(channel.whiteness_p),
+            "svg": inline_svg(figure, alt),
+        }
 
 
 def _curve_figure(name: str, curve: Curve) -> dict:

@@ -14,6 +14,7 @@ from jaxlines.edge.naming import path_metadata
 from jaxlines.edge.study import Study
 from jaxlines.inference.fit_result import Fit
 from jaxlines.inference.parameters import Free
+from jaxlines.inference.uncertainty import p_value_text
 from jaxlines.simulation.result import Simulation
 
 
@@ -82,7 +83,7 @@ def show_fit(fit: Fit, title: str) -> None:
     _sentences(console, "notes", notes)
     channels = [
         f"{name}: rmse {readable(channel.unit, channel.rmse)}, noise {readable(channel.unit, channel.sigma)}, "
-        f"residuals {'white' if channel.white else 'NOT white'} (p = {channel.whiteness_p:.2g})"
+        f"residuals {'white' if channel.white else 'NOT white'} ({p_value_text(channel.whiteness_p)})"
         for name, channel in fit.channels.items()
     ]
     _sentences(console, "channels", channels)

@@ -93,7 +93,11 @@ def analyse(problem: Problem, found: Found, sigma: np.ndarray) -> Analysis:
         unit = number_metadata(problem.circuit, parameter.paths[0]).get("unit", "1")
         kind = "unidentified" if is_open(result.open_share[i], sd[i], UNINFORMED * widths[i]) else "interval"
         kind = "upper_limit" if linear else kind
-        estimates[parameter.label] = make_estimate(parameter, float(value), float(sd[i]), unit, kind)
+        estimate = make_estimate(parameter, float(value), float(sd[i]), unit, kind)
+        edge = np.abs(parameter.to_coordinate(value) - np.array(parameter.coordinate_bounds()))
+        if np.min(edge) < 1e-6 * np.ptp(parameter.coordinate_bounds()) and kind == "interval":
+            estimate = estimate._replace(note="on a bound, so that the interval, from the curvature there, is no guide")
+        estimates[parameter.label] = estimate
     correlations = result.joint[:count, :count] / np.outer(sd, sd)
     return Analysis(
         estimates=estimates,

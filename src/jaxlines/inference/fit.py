@@ -14,6 +14,7 @@ from jaxlines.inference.parameters import Free, Known
 from jaxlines.inference.problem import Problem, make_problem
 from jaxlines.inference.recording import Recording
 from jaxlines.inference.search import Failed, Found, estimate_sigma, search, start_points
+from jaxlines.inference.uncertainty import p_value_text
 from jaxlines.simulation.circuit import Circuit
 from jaxlines.simulation.integration import make_method
 from jaxlines.simulation.result import MESSAGES
@@ -218,7 +219,7 @@ def _result(problem: Problem, best: Found, sigma, analysis: Analysis, derived, r
     for name, channel in channels.items():
         if not channel.white:
             warnings.append(
-                f"residuals of {name} are not white (Ljung-Box p = {channel.whiteness_p:.1e}): the model misses "
+                f"residuals of {name} are not white (Ljung-Box {p_value_text(channel.whiteness_p)}): the model misses "
                 "something that the recording shows, and the intervals are too narrow"
             )
         if name in noise and not 0.5 < channel.rmse / noise[name] < 2.0:

@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxlines.inference.analysis import ChannelFit
 from jaxlines.inference.curves import Curve
-from jaxlines.inference.uncertainty import Estimate
+from jaxlines.inference.uncertainty import Estimate, p_value_text
 from jaxlines.simulation.circuit import Circuit
 from jaxlines.simulation.validity import Validity
 
@@ -58,7 +58,7 @@ class Fit:
         for name, channel in self.channels.items():
             white = "white" if channel.white else "NOT white"
             lines.append(
-                f"  {name}: rmse {channel.rmse:.4g} {channel.unit}, residuals {white} (p = {channel.whiteness_p:.2g})"
+                f"  {name}: rmse {channel.rmse:.4g} {channel.unit}, residuals {white} ({p_value_text(channel.whiteness_p)})"
             )
         groups = {
             "cannot be told apart": self.identifiability,

@@ -121,13 +121,9 @@ def judge(free: tuple[Free, ...], coordinates, residuals, jacobian, optimiser_me
     tiny = bool(np.all(np.abs(step) < 1e-7 * (bounds[movable, 1] - bounds[movable, 0])))
     if offset > OFFSET_LIMIT and not tiny:
         return "stalled", f"the search stopped before the optimum (relative offset {offset:.2g}): {optimiser_message}"
-    stuck = [
-        f"{f.label} at its {'lower' if low[i] else 'upper'} bound {f.bounds[0] if low[i] else f.bounds[1]:g}"
-        for i, f in enumerate(free)
-        if not movable[i]
-    ]
+    stuck = [f"{f.label} at its {'lower' if low[i] else 'upper'} one" for i, f in enumerate(free) if not movable[i]]
     if stuck:
-        return "at_bound", "the optimum lies on a bound: " + ", ".join(stuck)
+        return "at_bound", "the optimum lies on a bound, " + ", ".join(stuck)
     return "converged", f"the remaining step is {offset:.1e} of a standard error"
 
 

@@ -11,6 +11,11 @@ from jaxlines.simulation.signals import Sampled
 from jaxlines.simulation.validity import lines_to_check
 
 
+def _values(signal: AbstractSignal, times) -> np.ndarray:
+    """A signal at many times, as one compiled program."""
+    return np.asarray(jax.jit(jax.vmap(signal))(times))
+
+
 def _seen_by(name: str, part, fluid, times, outputs, inputs) -> Situation:
     """What a component saw at the saved times. Raises ValueError when something of it was not saved."""
     potentials = {p: f"{getattr(part, p)}.{DOMAINS[d].potential}" for p, d in ports_of(part).items()}
@@ -24,7 +29,7 @@ def _seen_by(name: str, part, fluid, times, outputs, inputs) -> Situation:
     given = {field: getattr(part, field) for field in driven_of(part)}
     for field, value in given.items():
         if isinstance(value, AbstractSignal):
-            given[field] = jax.vmap(inputs[value.name] if isinstance(value, External) else value)(times)
+            given[field] = _values(inputs[value.name] if isinstance(value, External) else value, times)
     at_ports = {p: np.asarray(outputs[q]) for p, q in potentials.items()}
     return Situation(fluid, at_ports, {s: np.asarray(outputs[q]) for s, q in states.items()}, given)
 
@@ -61,5 +66,5 @@ def signal_records(circuit: Circuit, times, inputs) -> dict[str, tuple]:
             keep = (shown >= times[0]) & (shown <= times[-1])
             records[name] = (shown[keep], signal.values[keep])
         else:
-            records[name] = (grid, np.asarray(jax.vmap(signal)(grid)))
+            records[name] = (grid, _values(signal, grid))
     return records
