@@ -57,9 +57,8 @@ class Fit:
         lines.append("")
         for name, channel in self.channels.items():
             white = "white" if channel.white else "NOT white"
-            lines.append(
-                f"  {name}: rmse {channel.rmse:.4g} {channel.unit}, residuals {white} ({p_value_text(channel.whiteness_p)})"
-            )
+            p = p_value_text(channel.whiteness_p)
+            lines.append(f"  {name}: rmse {channel.rmse:.4g} {channel.unit}, residuals {white} ({p})")
         groups = {
             "cannot be told apart": self.identifiability,
             "rests on": self.scale,
