@@ -36,11 +36,7 @@ class Method(NamedTuple):
 
     def adjoint(self) -> diffrax.AbstractAdjoint:
         """How derivatives are taken: forward mode refuses reverse and the other way round."""
-        if self.gradient == "forward":
-            return diffrax.ForwardMode()
-        # A checkpoint for every step, so that none is replayed: a replay differs in its last bits, now and then
-        # accepts a step that was rejected, and from there the gradient is wrong (1 to 40 % were seen).
-        return diffrax.RecursiveCheckpointAdjoint(checkpoints=self.max_steps)
+        return diffrax.ForwardMode() if self.gradient == "forward" else diffrax.RecursiveCheckpointAdjoint()
 
 
 def make_method(solver, gradient: str, max_steps: int, max_step: float | None = None) -> Method:
