@@ -128,7 +128,7 @@ def judge(study, found: dict[str, Fit], same: bool) -> tuple[dict, dict[str, boo
         "residuals are white": channel.white,
         "missing air is noticed": not airless.channels["A.pressure"].white
         and any("A.pressure are not white" in warning for warning in airless.warnings),
-        "air is stated over the polytropic index": "over 1 to 1.4" in example[AIR].note,
+        "air is stated over the polytropic index": "for an index of 1 to 1.4" in example[AIR].note,
     }  # fmt: skip
     return numbers, claims
 

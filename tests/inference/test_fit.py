@@ -60,7 +60,7 @@ def test_derived_modulus_and_curves_agree_with_the_truth(good_fit):
 
 def test_air_is_conditional_on_the_polytropic_index_and_says_so(good_fit):
     assert any("conditional on the polytropic index" in warning for warning in good_fit.warnings)
-    assert "over 1 to 1.4" in good_fit.parameters["fluid.air_fraction"].note
+    assert "for an index of 1 to 1.4" in good_fit.parameters["fluid.air_fraction"].note
 
 
 def test_what_the_result_rests_on_is_named_with_the_right_slope(good_fit):

@@ -1,5 +1,6 @@
 """Wrong calls are refused with the rule, the value and the likely slip; failed trajectories say what failed."""
 
+import diffrax
 import jax
 import numpy as np
 import pytest
@@ -160,3 +161,8 @@ def test_tension_is_reported(circuit):
     airy = circuit.replace({"fluid.air_fraction": 0.01})
     sim = jl.simulate(airy, TIMES, {"flow": -1e-5})
     assert sim.status == "ok" and 0 < sim.lowest_pressure < 1.01e5
+
+
+def test_a_splitting_solver_is_refused(circuit):
+    with pytest.raises(TypeError, match=r"KenCarp5 splits the equations in two"):
+        jl.simulate(circuit, TIMES, {"flow": 0.0}, solver=diffrax.KenCarp5())

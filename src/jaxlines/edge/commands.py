@@ -76,8 +76,9 @@ def _writable(out: Path | None) -> None:
 
 
 def _report_files(files) -> None:
-    """Say what was written."""
-    typer.echo(f"wrote {', '.join(str(file) for file in files)}")
+    """Say what was written, if anything."""
+    if files:
+        typer.echo(f"wrote {', '.join(str(file) for file in files)}")
 
 
 @app.command()
@@ -92,11 +93,13 @@ def fit(study: StudyFile, out: Out = None, quiet: Quiet = False) -> None:
         loaded = load_study(study)
         with progress(quiet) as say:
             found = loaded.fit(say)
-        show_fit(found, loaded.title)
-        if out is not None:
+        files = []
+        if out is not None:  # before anything is shown: a closed pipe must not lose the result
             from jaxlines.edge.writing import write_fit
 
-            _report_files(write_fit(found, loaded, out))
+            files = write_fit(found, loaded, out)
+        show_fit(found, loaded.title)
+        _report_files(files)
         if found.status == "failed":
             typer.echo(f"jaxlines: {study}: the fit failed: {found.message}", err=True)
             raise typer.Exit(FIT_FAILED)
@@ -115,11 +118,13 @@ def simulate(study: StudyFile, out: Out = None, quiet: Quiet = False) -> None:
         with progress(quiet) as say:
             say("simulating", 0.3)
             simulation = loaded.simulate()
-        show_simulation(simulation, loaded.title, loaded.outputs)
+        files = []
         if out is not None:
             from jaxlines.edge.writing import write_simulation
 
-            _report_files(write_simulation(simulation, loaded, out, loaded.outputs))
+            files = write_simulation(simulation, loaded, out, loaded.outputs)
+        show_simulation(simulation, loaded.title, loaded.outputs)
+        _report_files(files)
 
 
 @app.command()

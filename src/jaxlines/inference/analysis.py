@@ -219,10 +219,10 @@ def conditional_range(problem: Problem, found: Found, sigma, estimates) -> tuple
         low, high = sorted(float(end[i]) for end in ends)
         old = estimates[parameter.label]
         unit = "" if old.unit == "1" else f" {old.unit}"
-        ends_text = f"{low:.4g} to {high:.4g}{unit} over {POLYTROPIC_RANGE[0]:g} to {POLYTROPIC_RANGE[1]:g}"
-        note = f"at {index_path} = {held:g}; {ends_text}"
+        ends_text = f"{low:.4g} to {high:.4g}{unit} for an index of {POLYTROPIC_RANGE[0]:g} to {POLYTROPIC_RANGE[1]:g}"
+        note = f"holds for polytropic index {held:g}; {ends_text}"
         if old.kind != "unidentified" and (i in airy or high - low > 2.0 * (old.sd or np.inf)):
             estimates[parameter.label] = old._replace(note="; ".join(filter(None, [old.note, note])))
         if i in airy:
-            warnings.append(f"{parameter.label} is conditional on the polytropic index: {note}")
+            warnings.append(f"{parameter.label} is conditional on the polytropic index: {ends_text}")
     return estimates, warnings

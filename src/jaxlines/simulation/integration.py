@@ -47,6 +47,9 @@ def make_method(solver, gradient: str, max_steps: int, max_step: float | None = 
         raise TypeError(
             f"solver must be a diffrax solver such as diffrax.Tsit5() or jaxlines.implicit(), got {solver!r}"
         )
+    if "MultiTerm" in str(getattr(solver, "term_structure", "")):
+        name = type(solver).__name__
+        raise TypeError(f"{name} splits the equations in two, which circuits do not: use Kvaerno5 or Tsit5")
     if max_step is not None and not max_step > 0.0:
         raise ValueError(f"max_step must be positive, got {max_step:g} s")
     step = None if max_step is None else float(max_step)
