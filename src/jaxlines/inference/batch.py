@@ -127,7 +127,7 @@ def make_batch(
     noise: dict[str, float] | None = None,
     solver=None,
     tolerance: float = 1e-7,
-    max_steps: int = 100_000,
+    max_steps: int = 10_000,
     precision: str = "float64",
     interpolation: str = "linear",
 ) -> Batch:
@@ -267,7 +267,11 @@ def fit_batch(
     noise: dict[str, float] | None = None,
     max_iterations: int = 60,
     progress: Callable[[str, float], None] | None = None,
-    **options,
+    solver=None,
+    tolerance: float = 1e-7,
+    max_steps: int = 10_000,
+    precision: str = "float64",
+    interpolation: str = "linear",
 ) -> BatchFit:
     """Fit one circuit to many recordings independently, all at once.
 
@@ -280,13 +284,25 @@ def fit_batch(
         noise: channel -> standard deviation; without it one per cent of the range weights the channels, and the
             standard deviations follow from the residuals.
         max_iterations: limit a lane; progress: called with a text and a fraction done.
-        options: solver, tolerance, max_steps, precision, interpolation, as in `fit`.
+        solver, tolerance, max_steps, precision, interpolation: as in `fit`; lanes of a call wait for the one with
+            the most steps, so that `max_steps` should not be far above what a sane lane takes.
     Returns: a `BatchFit`. A lane that fails says so and disturbs no other.
     Raises: ValueError or KeyError for a wrong call.
     """
     began = time.perf_counter()
     say = progress or (lambda text, fraction: None)
-    batch = make_batch(circuit, recordings, free=free, local=local, noise=noise, **options)
+    batch = make_batch(
+        circuit,
+        recordings,
+        free=free,
+        local=local,
+        noise=noise,
+        solver=solver,
+        tolerance=tolerance,
+        max_steps=max_steps,
+        precision=precision,
+        interpolation=interpolation,
+    )
     bounds = np.array([f.coordinate_bounds() for f in batch.free])
     lanes = len(recordings)
     first = np.tile([f.start_coordinate() for f in batch.free], (lanes, 1))
