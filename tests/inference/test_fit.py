@@ -63,6 +63,17 @@ def test_air_is_conditional_on_the_polytropic_index_and_says_so(good_fit):
     assert "for an index of 1 to 1.4" in good_fit.parameters["fluid.air_fraction"].note
 
 
+def test_a_known_spread_of_the_polytropic_index_widens_the_interval_of_air(pressure, good_fit):
+    """Uniform over [1, 1.4] has a standard deviation of 0.115; the interval then covers the refits at the ends."""
+    spread = jl.Known("fluid.polytropic_index", 0.4 / np.sqrt(12.0))
+    fit = jl.fit(control_line(), recording(pressure, 1), free=FREE, known=[spread])
+    wide, narrow = fit.parameters["fluid.air_fraction"], good_fit.parameters["fluid.air_fraction"]
+    assert sd_of(wide) > 5 * sd_of(narrow)
+    assert wide.ci95 is not None and wide.ci95[0] < 0.0061 and wide.ci95[1] > 0.0085
+    assert wide.value == pytest.approx(narrow.value, rel=1e-3)
+    assert not any("conditional on the polytropic" in warning for warning in fit.warnings)
+
+
 def test_what_the_result_rests_on_is_named_with_the_right_slope(good_fit):
     assert "measured flow 'flow'" in good_fit.scale[0]
     volume = next(s for s in good_fit.scale if s.startswith("line.parts.0.volume"))
