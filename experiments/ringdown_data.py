@@ -48,6 +48,8 @@ def stop_index(stroke: np.ndarray, rate: np.ndarray) -> int:
 
 def read_run(run_id: int, unit: str, table: pd.DataFrame) -> Ringdown:
     """Cut one run. Raises ValueError when it does not hold a whole stroke and ring-down."""
+    if not np.all(np.isfinite(table[["Angle", "PG_1", "PG_2"]].to_numpy(float))):
+        raise ValueError(f"run {run_id}: samples are missing")
     ports = {name: table[name].to_numpy(float) for name in ("PG_1", "PG_2")}
     port = max(ports, key=lambda name: np.median(ports[name][-500:]))
     pressure = ports[port]
@@ -56,7 +58,7 @@ def read_run(run_id: int, unit: str, table: pd.DataFrame) -> Ringdown:
     rate = np.asarray(savgol_filter(stroke, 9, 1, deriv=1)) * RATE
     stop = stop_index(stroke, rate)
     first, last = stop - BEFORE, stop + AFTER + 1
-    if first < 5 or last + 100 > pressure.size or not np.all(np.isfinite(pressure)):
+    if first < 5 or last + 100 > pressure.size:
         raise ValueError(f"run {run_id}: no whole stroke and ring-down (stop at sample {stop} of {pressure.size})")
     smooth = np.asarray(savgol_filter(pressure[first:last], 9, 2))
     peak = BEFORE + int(np.argmax(smooth[BEFORE : BEFORE + 60]))
@@ -83,11 +85,11 @@ def read_all(folder: Path) -> tuple[list[Ringdown], list[str]]:
             f"{' and '.join(missing)} not found: --data takes a folder with runs.parquet and runs_index.csv made from "
             "github.com/vtnsi/actuator_dataset"
         )
-    index = pd.read_csv(files[1]).set_index("run_id")
+    units = pd.read_csv(files[1]).set_index("run_id")["unit"]
     runs, trouble = [], []
     for run_id, table in pd.read_parquet(files[0], columns=["run_id", "Angle", "PG_1", "PG_2"]).groupby("run_id"):
         try:
-            runs.append(read_run(int(run_id), str(index.loc[run_id, "unit"]), table))  # pyright: ignore
+            runs.append(read_run(int(run_id), str(units.get(run_id, "unknown")), table))  # pyright: ignore
         except ValueError as error:
             trouble.append(str(error))
     return runs, trouble
