@@ -185,7 +185,7 @@ def finding(entries: list[dict], derived: dict) -> str:
 def main() -> int:
     """Compare, print, write `results.json`."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, required=True, help="folder for results.json")
+    parser.add_argument("--out", type=Path, default=Path("out/dsn_tables"), help="folder for results.json")
     folder = parser.parse_args().out
     entries, derived, made = given_numbers() + computed_numbers(), derived_numbers(), reconstructions()
     console = Console(width=170, highlight=False, markup=False)

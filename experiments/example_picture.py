@@ -6,6 +6,7 @@ Writes example.svg. Its background is transparent and its ink is a grey that rea
 """
 
 import argparse
+import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -53,7 +54,7 @@ def draw(fit: Fit) -> Figure:
 def main() -> int:
     """Fit the example and draw it."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, required=True, help="folder for example.svg")
+    parser.add_argument("--out", type=Path, required=True, help="folder for example.svg and results.json")
     folder = parser.parse_args().out
     fit = jl.load_study("example:control-line").fit()
     folder.mkdir(parents=True, exist_ok=True)
@@ -61,6 +62,9 @@ def main() -> int:
     with matplotlib.rc_context(STYLE):
         draw(fit).savefig(path, transparent=True, metadata={"Date": None})
     size = path.stat().st_size
+    values = {name: estimate.value for name, estimate in fit.parameters.items()}
+    results = {"status": fit.status, "bytes": size, "parameters": values}
+    (folder / "results.json").write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
     print(f"wrote {path}: {size} bytes, the fit {fit.status}")
     return 0 if fit.status == "converged" and size < LARGEST else 1
 

@@ -98,6 +98,8 @@ def summarise_carry_over(errors: dict, groups: dict) -> dict:
 
 def verdict(carried: dict) -> str:
     """What the data prefer in predicting left-out runs, in words; 0.05 % of hold counts as a difference."""
+    if not carried:
+        return "carry-over was not studied"
     differences = [c["air minus constant"] for c in carried.values() if c]
     if not differences:
         return "too few runs to compare a constant with a pressure-dependent capacitance"
@@ -106,4 +108,6 @@ def verdict(carried: dict) -> str:
         return "left-out runs are predicted better with a pressure-dependent capacitance"
     if min(gains) > 0.05:
         return "left-out runs are predicted better with a constant capacitance"
+    if max(map(abs, gains)) > 0.05:
+        return "left-out runs of the same unit and of other units disagree on a pressure-dependent capacitance"
     return "left-out runs do not call for a pressure-dependent capacitance (differences below 0.05 % of hold)"
