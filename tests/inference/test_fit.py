@@ -238,7 +238,7 @@ def test_progress_is_told(pressure):
 def test_a_circuit_that_cannot_be_simulated_is_a_failed_fit_not_a_crash(pressure):
     fit = jl.fit(control_line(), recording(pressure, 1), free=FREE, max_steps=5)
     assert fit.status == "failed"
-    assert "fails at the start" in fit.message
+    assert "fails at the start of the search: the step limit was reached" in fit.message
     assert fit.parameters == {}
 
 

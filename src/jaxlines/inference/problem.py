@@ -15,7 +15,7 @@ from jaxlines.simulation.integration import Method, integrate, integrate_with_se
 from jaxlines.simulation.observation import quantities, sensor_units
 from jaxlines.simulation.paths import replace_leaves, resolve
 from jaxlines.simulation.precision import cast, computing_in
-from jaxlines.simulation.result import STATUS
+from jaxlines.simulation.result import MESSAGES, STATUS
 from jaxlines.simulation.signals import Sampled
 from jaxlines.simulation.simulate import bind_inputs
 
@@ -132,12 +132,19 @@ class Problem:
         repeated = np.concatenate([np.full(len(members), every[i]) for i, members in enumerate(self.groups)])
         return cast((repeated, self.values, self.padded_times(), np.asarray(self.tolerance)), self.precision)
 
-    def predict(self, free_values) -> np.ndarray:
-        """Simulated channels, shape (times, channels); NaN when the simulation fails."""
+    def _simulated(self, free_values) -> tuple[np.ndarray, np.ndarray]:
+        """Outputs with padding, and the status code."""
         with computing_in(self.precision):
             found = _predict(self.plan, self.wanted, self.method, self.locations, *self._arguments(free_values))
-            outputs, status = (np.asarray(x) for x in found)
-        return self._trimmed(outputs, status)
+            return np.asarray(found[0]), np.asarray(found[1])
+
+    def predict(self, free_values) -> np.ndarray:
+        """Simulated channels, shape (times, channels); NaN when the simulation fails."""
+        return self._trimmed(*self._simulated(free_values))
+
+    def why_it_fails(self, free_values) -> str:
+        """What the simulation with these values says of itself."""
+        return list(MESSAGES.values())[int(self._simulated(free_values)[1])]
 
     def sensitivities(self, free_values) -> tuple[np.ndarray, np.ndarray]:
         """Simulated channels and their slopes by every free and known parameter, in SI (not coordinates)."""

@@ -139,7 +139,8 @@ def search(problem: Problem, start: np.ndarray, sigma: np.ndarray, report, *, ma
     margin = 1e-9 * (bounds[1] - bounds[0])
     start = np.clip(start, bounds[0] + margin, bounds[1] - margin)
     if not np.all(np.isfinite(evaluator.residuals(start))):
-        raise Failed("the simulation fails at the start of the search")
+        reason = problem.why_it_fails(evaluator.values(start))
+        raise Failed(f"the simulation fails at the start of the search: {reason}")
     found = least_squares(
         evaluator.residuals,
         start,
@@ -156,7 +157,8 @@ def search(problem: Problem, start: np.ndarray, sigma: np.ndarray, report, *, ma
     residuals = ((simulated - evaluator.measured) / sigma)[evaluator.used]
     jacobian = weighted_jacobian(problem, found.x, slopes, sigma)
     if not (np.all(np.isfinite(residuals)) and np.all(np.isfinite(jacobian))):
-        raise Failed("the simulation fails where the search ended")
+        reason = problem.why_it_fails(evaluator.values(found.x))
+        raise Failed(f"the simulation fails where the search ended: {reason}")
     status, message = judge(problem.free, found.x, residuals, jacobian, found.message)
     values = evaluator.values(found.x)
     cost = 0.5 * float(residuals @ residuals)
