@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from jaxlines.inference.parameters import Free
+from jaxlines.inference.search import relative_offset
 from jaxlines.inference.uncertainty import (
     UNINFORMED,
     covariance,
@@ -92,3 +93,15 @@ def test_ljung_box_finds_correlation_and_bears_gaps():
     used = RNG.random(x.size) > 0.2
     assert ljung_box(x, used) < 1e-6
     assert ljung_box(np.where(used, RNG.standard_normal(x.size), np.nan), used) > 1e-3
+
+
+def test_relative_offset_sees_a_plateau_but_not_a_dead_direction():
+    """A weak direction along which the misfit would fall counts; one that changes nothing does not."""
+    count, noise = 50, RNG.standard_normal(50)
+    firm, weak = np.linalg.qr(RNG.standard_normal((count, 2)))[0].T
+    rest = noise - firm * (firm @ noise) - weak * (weak @ noise)
+    jacobian = np.stack([100.0 * firm, 2.0 * weak], axis=1)
+    assert relative_offset(jacobian, rest, np.ones(2)) < 1e-12
+    assert relative_offset(jacobian, rest + 5.0 * weak, np.ones(2)) > 1.0
+    assert relative_offset(jacobian * [1.0, 1e-6], rest + 5.0 * weak, np.ones(2)) < 1e-12
+    assert relative_offset(jacobian, rest + 0.1 * firm, np.ones(2)) == pytest.approx(0.1, rel=0.3)

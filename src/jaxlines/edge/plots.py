@@ -7,7 +7,6 @@ import numpy as np
 from jaxlines.edge.display import readable_unit
 from jaxlines.inference.analysis import ChannelFit
 from jaxlines.inference.curves import Curve
-from jaxlines.simulation.result import Simulation
 
 MEASURED, SIMULATED, BAND = "#8b95a5", "#2f7fd1", "#2f7fd1"
 MAX_POINTS = 4000
@@ -102,13 +101,3 @@ def plot_wave_speed(curve: Curve, axes=None):
     """Wave speed of a line over pressure, with its 95 % band."""
     bands = curve.wave_speed, curve.wave_speed_low, curve.wave_speed_high
     return _plot_band(curve.pressure, *bands, "wave speed [m/s]", 1.0, _axes(axes))
-
-
-def plot_output(simulation: Simulation, name: str, axes=None):
-    """An output of a simulation over time."""
-    axes, values = _axes(axes), np.asarray(simulation[name])
-    unit, factor = readable_unit(simulation.units[name], _largest(values))
-    axes.plot(*decimate(simulation.times, values * factor), color=SIMULATED, lw=1.4)
-    axes.set(xlabel="time [s]", ylabel=_label(name, unit))
-    axes.margins(x=0)
-    return axes

@@ -87,24 +87,23 @@ def weighted_jacobian(problem: Problem, coordinates, slopes, sigma) -> np.ndarra
 def relative_offset(jacobian, residuals, widths) -> float:
     """Residual in the tangent space over what noise alone would put there; columns of movable coordinates only.
 
-    Directions that the data leave open (see `uncertainty.covariance`) do not count: walking along them changes
-    nothing that the data could tell.
+    A direction that the data leave open (see `uncertainty.covariance`) counts only while a walk along it within the
+    bounds would still gain in likelihood (by 0.5, one standard error), as on a plateau far from the optimum.
     """
     if jacobian.shape[1] == 0:
         return 0.0
     if not np.all(np.isfinite(jacobian)):
         return np.inf
     left, singular, _ = np.linalg.svd(jacobian * widths, full_matrices=False)
-    level = np.linalg.norm(residuals) / np.sqrt(max(residuals.size - jacobian.shape[1], 1))
-    left = left[:, singular > level / UNINFORMED]
-    if left.shape[1] == 0:
-        return 0.0
+    left, singular = left[:, singular > 0.0], singular[singular > 0.0]
     inside = left.T @ residuals
-    outside = residuals - left @ inside
     freedom = max(residuals.size - left.shape[1], 1)
-    return float(
-        np.linalg.norm(inside) / np.sqrt(left.shape[1]) / max(np.linalg.norm(outside) / np.sqrt(freedom), 1e-300)
-    )
+    level = max(float(np.linalg.norm(residuals - left @ inside)) / np.sqrt(freedom), 1e-300)
+    steps, known = np.abs(inside) / level, singular > level / UNINFORMED
+    firm = float(np.sqrt(np.mean(steps[known] ** 2))) if known.any() else 0.0
+    reach = np.minimum(steps, singular / level)  # a walk ends at its best point or at the bounds
+    gainful = ~known & (steps * reach - 0.5 * reach**2 > 0.5)
+    return max(firm, float(np.max(steps[gainful], initial=0.0)))
 
 
 def judge(free: tuple[Free, ...], coordinates, residuals, jacobian, optimiser_message: str) -> tuple[str, str]:

@@ -40,11 +40,6 @@ class Line(AbstractComponent):
             raise TypeError(f"parts of a Line are containers (Pipe, Vessel), got {wrong[0] if wrong else 'none'!r}")
 
     @staticmethod
-    def from_parts(node: str, *, parts, path_length=0.0) -> "Line":
-        """A line from the list of its parts; the same as `Line(node, parts, path_length)`."""
-        return Line(node, parts, path_length)
-
-    @staticmethod
     def from_effective_modulus(node: str, volume, effective_modulus, fluid_modulus, path_length=0.0) -> "Line":
         """A line of which volume and effective modulus are known together with the fluid modulus behind them."""
         return Line(node, Vessel.from_effective_modulus(volume, effective_modulus, fluid_modulus), path_length)

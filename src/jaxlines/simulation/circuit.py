@@ -6,7 +6,7 @@ from typing import Any
 import equinox as eqx
 import jax
 
-from jaxlines.physics.component import DOMAINS, AbstractComponent
+from jaxlines.physics.component import AbstractComponent
 from jaxlines.physics.fields import External, as_number, check_range, driven_of, ports_of
 from jaxlines.physics.fluids import Oil
 from jaxlines.physics.sensors import AbstractSensor
@@ -124,8 +124,3 @@ def field_metadata(circuit: Circuit, path: str) -> dict:
     if metadata.get("unit") == "1" and driven:
         return driven  # a number of a signal has the unit and the range of what the signal drives
     return metadata if "unit" in metadata else {}
-
-
-def potential_name(node: str, domain: str) -> str:
-    """The name of a node's potential, such as "A.pressure" or "shaft.speed"."""
-    return f"{node}.{DOMAINS[domain].potential}"
