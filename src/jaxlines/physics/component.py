@@ -20,11 +20,16 @@ from jaxlines.physics.fluids import Oil
 
 
 class State(NamedTuple):
-    """A state of a component: its name, unit, and a typical size, by which the solver scales it."""
+    """A state of a component: its name, unit, and a typical size, by which the solver scales it.
+
+    A state with a `shape` is an array whose own axes stand in front: (segments,) for one component,
+    (segments, count, [lanes]) for a kind, so that numbers of the component still apply element by element.
+    """
 
     name: str
     unit: str
     scale: float
+    shape: tuple[int, ...] = ()
 
 
 class Domain(NamedTuple):
@@ -64,7 +69,7 @@ class Contribution(NamedTuple):
 class AbstractComponent(eqx.Module):
     """A part of a circuit. Numbers are checked against the ranges that its fields declare."""
 
-    states: ClassVar[tuple[State, ...]] = ()
+    states: ClassVar[tuple[State, ...]] = ()  # of a component whose states depend on nothing; see `states_in`
 
     def __check_init__(self):
         check_fields(self)
@@ -75,6 +80,14 @@ class AbstractComponent(eqx.Module):
 
         Hydraulic flows are mass flows [kg/s], positive into the node.
         """
+
+    def states_in(self, fluid: Oil) -> tuple[State, ...]:
+        """The states this component has when filled with a fluid."""
+        return self.states
+
+    def start(self, at: Situation) -> dict:
+        """State name -> where it starts unless told otherwise (zero for those left out); `at.state` is empty."""
+        return {}
 
     def sets(self) -> dict:
         """Port name -> name of the driven field whose value is the node's potential (sources only)."""

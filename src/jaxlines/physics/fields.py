@@ -106,14 +106,16 @@ def driven(
     return eqx.field(converter=_as_driven, metadata=metadata, **options)
 
 
-def port(domain: str = HYDRAULIC):
-    """The name of the node that this port is attached to."""
-    return eqx.field(static=True, metadata={"port": domain})
+def port(domain: str = HYDRAULIC, *, optional: bool = False):
+    """The name of the node that this port is attached to; an optional port may be None, attached to nothing."""
+    options = {"default": None} if optional else {}
+    return eqx.field(static=True, metadata={"port": domain, "optional": optional}, **options)
 
 
 def ports_of(module) -> dict[str, str]:
-    """Port field name -> domain, in the order of declaration."""
-    return {f.name: f.metadata["port"] for f in dataclasses.fields(module) if "port" in f.metadata}
+    """Name of each attached port -> domain, in the order of declaration."""
+    ports = {f.name: f.metadata for f in dataclasses.fields(module) if "port" in f.metadata}
+    return {n: m["port"] for n, m in ports.items() if not (m["optional"] and getattr(module, n) is None)}
 
 
 def driven_of(module) -> dict[str, dict]:
@@ -151,5 +153,6 @@ def check_fields(module, where: str = "") -> None:
         value, label = getattr(module, field.name), f"{where}{field.name}"
         if "unit" in field.metadata:
             check_range(label, value, dict(field.metadata))
-        if "port" in field.metadata and not isinstance(value, str):
+        detached = field.metadata.get("optional") and value is None
+        if "port" in field.metadata and not isinstance(value, str) and not detached:
             raise TypeError(f"{type(module).__name__}.{label} must be the name of a node, got {value!r}")
