@@ -7,10 +7,11 @@ import numpy as np
 
 from jaxlines.edge.building import StudyError, suggest
 from jaxlines.physics.fields import driven_of
-from jaxlines.simulation.assembly import compile_circuit, initial_names, number_locations
+from jaxlines.simulation.assembly import compile_circuit, number_locations
 from jaxlines.simulation.circuit import Circuit, field_metadata
-from jaxlines.simulation.observation import quantities, sensor_units
+from jaxlines.simulation.observation import quantities, sensor_units, shown_by_default
 from jaxlines.simulation.paths import resolve
+from jaxlines.simulation.plan import initial_names
 from jaxlines.simulation.precision import computing_in
 from jaxlines.simulation.signals import Constant
 
@@ -50,8 +51,8 @@ def names_of(circuit: Circuit) -> Names:
         numbers = tuple(number_locations(plan, values))
     units = {name: q.unit for name, q in known.items()} | sensors
     outputs = {name: {"unit": unit, "level": unit == "Pa"} for name, unit in units.items()}
-    observed = [name for name, q in known.items() if q.room != "port"]
-    initial = {name: outputs[name] for name in initial_names(plan)}
+    observed = shown_by_default(plan)
+    initial = {name: {"unit": unit, "level": unit == "Pa"} for name, unit in initial_names(plan).items()}
     return Names(outputs, inputs, initial, (*observed, *sensors), numbers)
 
 

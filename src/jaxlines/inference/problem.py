@@ -9,11 +9,12 @@ import numpy as np
 
 from jaxlines.inference.parameters import Free, Known
 from jaxlines.inference.recording import Recording
-from jaxlines.simulation.assembly import Plan, Values, compile_circuit, number_locations, set_numbers
+from jaxlines.simulation.assembly import Location, compile_circuit, number_locations, set_numbers
 from jaxlines.simulation.circuit import Circuit, field_metadata
 from jaxlines.simulation.integration import Method, integrate, integrate_with_sensitivities
 from jaxlines.simulation.observation import quantities, sensor_units
 from jaxlines.simulation.paths import replace_leaves, resolve
+from jaxlines.simulation.plan import Plan, Values
 from jaxlines.simulation.precision import cast, computing_in
 from jaxlines.simulation.result import MESSAGES, STATUS
 from jaxlines.simulation.signals import Sampled
@@ -101,7 +102,7 @@ class Problem:
     method: Method
     precision: str
     tolerance: float
-    locations: tuple[tuple[int, int | None], ...]
+    locations: tuple[Location, ...]
     groups: tuple[tuple[int, ...], ...]
     known_values: np.ndarray
 
@@ -308,4 +309,4 @@ def _number(values: Values, locations, path: str):
     """The present value of a number by its path."""
     position, member = locations[path]
     leaf = np.asarray(jax.tree.leaves(values)[position])
-    return leaf if member is None else leaf[member]
+    return leaf if member is None else leaf[member].flat[0]

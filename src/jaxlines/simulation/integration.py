@@ -9,9 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix
 
-from jaxlines.simulation.assembly import Plan, Values, rates, ravel, unravel
 from jaxlines.simulation.observation import observe
+from jaxlines.simulation.plan import Plan, Values, ravel, unravel
 from jaxlines.simulation.result import STATUS
+from jaxlines.simulation.vector_field import rates, starting_point
 
 
 def implicit(solver: diffrax.AbstractSolver | None = None) -> diffrax.AbstractSolver:
@@ -71,9 +72,9 @@ def _field(plan: Plan, t, y, values: Values):
     return ravel(plan, *rates(plan, values, t, *unravel(plan, y)))
 
 
-def _start(plan: Plan, values: Values):
+def _start(plan: Plan, values: Values, t):
     """The scaled states at the start."""
-    return ravel(plan, values.initial.potentials, values.initial.states)
+    return ravel(plan, *starting_point(plan, values, t))
 
 
 def _show(plan: Plan, wanted: tuple[str, ...], t, y, values: Values):
@@ -155,7 +156,7 @@ def integrate(plan: Plan, wanted: tuple[str, ...], method: Method, values: Value
     def field(t, y):
         return _field(plan, t, y, values)
 
-    solution = _solve(method, method.adjoint(), field, _start(plan, values), save, values, times, tolerance)
+    solution = _solve(method, method.adjoint(), field, _start(plan, values, times[0]), save, values, times, tolerance)
     outputs, lowest = _saved(solution)
     return _trajectory(solution, outputs, lowest, values)
 
@@ -176,7 +177,7 @@ def integrate_with_sensitivities(
     Reference: Hindmarsh et al., "SUNDIALS", ACM Trans. Math. Softw. 31, 2005 (simultaneous corrector of CVODES).
     """
     values = rebuild(leaves)
-    start, start_slopes = _pushed(lambda leaves: _start(plan, rebuild(leaves)), (leaves,), (slopes,))
+    start, start_slopes = _pushed(lambda leaves: _start(plan, rebuild(leaves), times[0]), (leaves,), (slopes,))
     size, count = start.size, start_slopes.shape[0]
 
     def split(y):

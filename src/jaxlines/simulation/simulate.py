@@ -7,11 +7,12 @@ import jax
 import numpy as np
 
 from jaxlines.physics.fields import AbstractSignal, check_range, driven_of
-from jaxlines.simulation.assembly import Plan, compile_circuit
+from jaxlines.simulation.assembly import compile_circuit
 from jaxlines.simulation.circuit import Circuit
 from jaxlines.simulation.integration import integrate, make_method
-from jaxlines.simulation.observation import quantities, sensor_units
+from jaxlines.simulation.observation import quantities, sensor_units, shown_by_default
 from jaxlines.simulation.paths import resolve
+from jaxlines.simulation.plan import Plan
 from jaxlines.simulation.precision import cast, computing_in, is_traced
 from jaxlines.simulation.result import Simulation
 from jaxlines.simulation.signals import Constant, Sampled, Step, as_signal
@@ -52,8 +53,7 @@ def _wanted(circuit: Circuit, plan: Plan, outputs) -> dict[str, str]:
     """Names of the outputs and their units: those asked for, else all sensors, potentials and states."""
     units = {name: q.unit for name, q in quantities(plan).items()} | sensor_units(circuit, plan)
     if outputs is None:
-        rooms = {name: q.room for name, q in quantities(plan).items()}
-        return {name: unit for name, unit in units.items() if rooms.get(name) != "port"}
+        return {name: units[name] for name in (*shown_by_default(plan), *circuit.sensors())}
     return {resolve(name, units, "output"): units[resolve(name, units, "output")] for name in outputs}
 
 

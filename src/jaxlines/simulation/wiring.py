@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxlines.physics.component import AbstractComponent, State
 from jaxlines.physics.fields import AbstractSignal, External, driven_of, ports_of
+from jaxlines.physics.fluids import Oil
 from jaxlines.simulation.circuit import Circuit
 
 
@@ -88,7 +89,7 @@ def group_kinds(circuit: Circuit, wiring: Wiring) -> list[dict[str, AbstractComp
     return list(groups.values())
 
 
-def plan_kind(members: dict[str, AbstractComponent], wiring: Wiring) -> Kind:
+def plan_kind(members: dict[str, AbstractComponent], wiring: Wiring, fluid: Oil) -> Kind:
     """Attach the ports and the signals of a kind."""
     first = next(iter(members.values()))
     ports = []
@@ -100,7 +101,7 @@ def plan_kind(members: dict[str, AbstractComponent], wiring: Wiring) -> Kind:
         if isinstance(getattr(first, field), AbstractSignal):
             index = tuple(wiring.signal(name, field, getattr(part, field)) for name, part in members.items())
             signals.append((field, index))
-    return Kind(tuple(members), tuple(ports), tuple(signals), first.states)
+    return Kind(tuple(members), tuple(ports), tuple(signals), first.states_in(fluid))
 
 
 def plan_fixed(circuit: Circuit, wiring: Wiring, kinds: list[Kind]) -> tuple[FixedNode, ...]:
