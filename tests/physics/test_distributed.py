@@ -95,7 +95,7 @@ def test_resonance_and_numbers_of_the_line():
     assert lossless == pytest.approx(734834993.05, rel=1e-10)
 
 
-@pytest.mark.parametrize(("share", "tolerance"), [(0.0, 1e-13), (0.25, 1e-13), (-0.25, 1e-13), (0.35, 1e-12)])
+@pytest.mark.parametrize(("share", "tolerance"), [(0, 1e-13), (0.25, 1e-13), (-0.25, 1e-13), (0.3, 1e-12), (0.4, 1e-7)])
 def test_bessel_ratio_for_all_sizes(share, tolerance):
     z = np.geomspace(1e-4, 1e5, 1000) * np.exp(1j * np.pi * share)
     np.testing.assert_allclose(bessel_ratio(z) * ive(2, z) / ive(0, z), 1.0, rtol=tolerance)
@@ -222,15 +222,14 @@ def test_determinant_is_one(pipe, log_omega, damping, friction, segments):
 @pytest.mark.parametrize("segments", [None, 6])
 def test_derivatives(friction, segments):
     """Exact derivatives in all numbers of the line against differences of fourth order, s = 0 included."""
-    omega = np.array([0.0, 1e-3, 1.0, 60.0, 1600.0 / 16.57134801, 94.0, 500.0])
+    omega = np.array([0.0, 1e-3, 1.0, 60.0, 625.0 / 16.57134801, 20.0, 500.0])
     s = 1j * omega
 
     def matrix(x):
-        entries = (
-            transmission_matrix(s, *x, friction=friction)
-            if segments is None
-            else ladder_matrix(s, segments, *x, friction=friction)
-        )
+        if segments is None:
+            entries = transmission_matrix(s, *x, friction=friction)
+        else:
+            entries = ladder_matrix(s, segments, *x, friction=friction)
         return entries[..., 0, :]
 
     x = np.array(PIPE)
@@ -240,8 +239,8 @@ def test_derivatives(friction, segments):
         h = 1e-4 * x[i] * np.eye(5)[i]
         near, far = (matrix(tuple(x + k * h)) - matrix(tuple(x - k * h)) for k in (1, 2))
         difference = (8 * near - far) / (12 * h[i])
-        scale = np.max(np.abs(exact[..., i]), axis=-1, keepdims=True) + np.abs(matrix(tuple(x))) / x[i] * 1e-3
-        assert np.max(np.abs(exact[..., i] - difference) / scale) < 1e-6
+        error = np.abs(exact[..., i] - difference) * x[i]
+        assert np.all(error <= 1e-6 * np.abs(exact[..., i]) * x[i] + 1e-10 * np.array([1.0, 7.3e8]))
 
 
 def test_unknown_words_are_refused():

@@ -29,8 +29,8 @@ from jaxlines.physics.weighting import AbstractWeighting
 Friction = Literal["none", "steady", "distributed"] | AbstractWeighting
 """How the friction of a line is described in the frequency domain."""
 
-_FRACTION_TERMS, _SERIES_TERMS, _SWITCH = 48, 14, 40.0
-# Continued fraction for |z| <= 40, asymptotic series beyond: both exact to rounding for Re s >= 0.
+_FRACTION_TERMS, _SERIES_TERMS, _SWITCH = 32, 16, 25.0
+# Continued fraction for |z| <= 25, asymptotic series beyond: both exact to rounding for Re s >= 0.
 
 
 def dissipation_number(length, inner_diameter, speed, kinematic_viscosity):
@@ -65,7 +65,7 @@ def womersley_impedance(w):
     Args: w = s R_i^2/nu [-], complex.
     It is analytic, 8 + 4 w/3 for slow flow (friction of Hagen and Poiseuille, inertia 4/3 of the fluid's) and
     w + 2 sqrt(w) for fast flow.
-    Validity: to rounding for Re w >= 0, within 1e-8 for |arg w| < 0.8 pi; zeros and poles on the negative axis.
+    Validity: to rounding for Re w >= 0, within 1e-7 for |arg w| < 0.8 pi; zeros and poles on the negative axis.
     Reference: Zielke 1968 (see `weighting`); the ratio is w + 2 q with the continued fraction
     q = z I1/I2 = 4 + w/(6 + w/(8 + ...)) (Abramowitz and Stegun, eq. 9.1.73), or Hankel's expansion.
     """
