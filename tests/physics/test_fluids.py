@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from jaxlines import Oil
+from jaxlines.physics.air import LegacySimscapeAir
 
 PRESSURES = np.array([0.101325, 0.2, 0.5, 1, 2, 5, 10, 20, 35]) * 1e6
 
@@ -82,6 +83,15 @@ def test_article_oil_has_constant_density():
     np.testing.assert_array_equal(fluid.density_at(PRESSURES), np.full(9, 850.0))
 
 
+def test_temperature():
+    """K0 exp(-c (T - T_r)) and rho/(1 + a (T - T_r))."""
+    warm: dict = {"temperature": 330.0, "thermal_expansion": 7e-4, "modulus_temperature_coefficient": 0.0058}
+    fluid = oil(**warm)
+    assert fluid.mixture_modulus(1e7) == pytest.approx(1.5e9 * np.exp(-0.0058 * 16.85), rel=1e-13)
+    assert fluid.density_at(101325.0) == pytest.approx(850 / (1 + 7e-4 * 16.85), rel=1e-14)
+    assert oil(mass="article", **warm).density_at(1e7) == pytest.approx(850 / (1 + 7e-4 * 16.85), rel=1e-14)
+
+
 @settings(max_examples=200, deadline=None)
 @given(
     air=st.floats(0, 0.3),
@@ -115,6 +125,9 @@ def test_lee_chart_within_ten_percent():
         ("air_fraction", 1.0, r"air_fraction must be 0\.\.0\.5, got 1: was it given in percent"),
         ("air_fraction", -1e-3, r"air_fraction must be 0\.\.0\.5, got -0\.001"),
         ("bulk_modulus", float("nan"), "bulk_modulus must be .* got nan Pa"),
+        ("temperature", 40.0, r"temperature must be 150\.\.700 K, got 40 K: was it given in C"),
+        ("viscosity_pressure_coefficient", 20.0, r"viscosity_pressure_coefficient must be .* was it given in 1/GPa"),
+        ("air", LegacySimscapeAir(), 'air law LegacySimscapeAir needs mass="article": it holds the volume of the liq'),
         ("mass", "volume", 'mass must be "conserved" or "article", got \'volume\''),
     ],
 )

@@ -48,7 +48,8 @@ def gas_volume(p, polytropic_index, vapour_pressure=0.0):
 class AbstractAir(eqx.Module):
     """What the air of a fluid does. `Oil` makes volume, modulus and density of it."""
 
-    vapour: eqx.AbstractVar[str]
+    vapour: str = eqx.field(static=True, default="ignored", kw_only=True)
+    """Whether vapour is in the bubbles; see the head of this file."""
     kinetic: ClassVar[bool] = False
     """Whether the undissolved fraction is a state that lives in each volume."""
     liquid_frozen: ClassVar[bool] = False
@@ -60,11 +61,11 @@ class AbstractAir(eqx.Module):
             raise ValueError(f'vapour must be "ignored" or "in_bubbles", got {self.vapour!r}')
 
     @abstractmethod
-    def undissolved(self, p, air_ratio):
+    def undissolved(self, p, air_ratio) -> Number:
         """theta(p) at equilibrium [-], with the free air at p0 per volume of liquid [-]."""
 
     @abstractmethod
-    def dissolving(self, p, air_ratio):
+    def dissolving(self, p, air_ratio) -> Number:
         """The part of -d theta/dp that counts as compliance [1/Pa]."""
 
     def air_content(self, air_ratio):
@@ -92,12 +93,10 @@ class FreeAir(AbstractAir):
     Reference: Cho, Lee and Oh, Int. J. Automotive Technology 3(2), 2002.
     """
 
-    vapour: str = eqx.field(static=True, default="ignored")
-
-    def undissolved(self, p, air_ratio):
+    def undissolved(self, p, air_ratio) -> Number:
         return 1.0
 
-    def dissolving(self, p, air_ratio):
+    def dissolving(self, p, air_ratio) -> Number:
         return 0.0
 
 
@@ -115,16 +114,15 @@ class DissolvingAir(AbstractAir):
 
     solubility: AbstractSolubility = LinearSolubility()
     convention: str = eqx.field(static=True, default="equilibrium")
-    vapour: str = eqx.field(static=True, default="ignored")
 
     def __check_init__(self):
         if self.convention not in ("equilibrium", "frozen"):
             raise ValueError(f'convention must be "equilibrium" or "frozen", got {self.convention!r}')
 
-    def undissolved(self, p, air_ratio):
+    def undissolved(self, p, air_ratio) -> Number:
         return self.solubility.undissolved(p, air_ratio)
 
-    def dissolving(self, p, air_ratio):
+    def dissolving(self, p, air_ratio) -> Number:
         return self.solubility.dissolving(p, air_ratio) if self.convention == "equilibrium" else 0.0
 
     def air_content(self, air_ratio):
@@ -148,14 +146,13 @@ class KineticAir(AbstractAir):
     release_time: Number = quantity("s", low=1e-6, high=1e6, slip="was it given in ms?", default=0.5)
     absorption_time: Number = quantity("s", low=1e-6, high=1e6, slip="was it given in ms?", default=30.0)
     transition: Number = quantity("1", low=1e-6, high=1.0, default=0.01)
-    vapour: str = eqx.field(static=True, default="ignored")
 
     kinetic: ClassVar[bool] = True
 
-    def undissolved(self, p, air_ratio):
+    def undissolved(self, p, air_ratio) -> Number:
         return self.solubility.undissolved(p, air_ratio)
 
-    def dissolving(self, p, air_ratio):
+    def dissolving(self, p, air_ratio) -> Number:
         return 0.0
 
     def air_content(self, air_ratio):
@@ -182,13 +179,16 @@ class LegacySimscapeAir(AbstractAir):
 
     pressure_floor: Number = quantity("Pa", low=1.0, high=1e5, slip="it is an absolute pressure", default=1e4)
 
-    vapour: ClassVar[str] = "ignored"
     liquid_frozen: ClassVar[bool] = True
 
-    def undissolved(self, p, air_ratio):
+    def __check_init__(self):
+        if self.vapour != "ignored":
+            raise ValueError("LegacySimscapeAir knows no vapour pressure: leave vapour as it is")
+
+    def undissolved(self, p, air_ratio) -> Number:
         return 1.0
 
-    def dissolving(self, p, air_ratio):
+    def dissolving(self, p, air_ratio) -> Number:
         return 0.0
 
     def gas_pressure(self, p):

@@ -94,21 +94,21 @@ class AbstractLiquid(eqx.Module):
         check_fields(self)
 
     @abstractmethod
-    def volume(self, p, modulus, slope):
+    def volume(self, p, modulus, slope) -> Number:
         """Volume relative to that at the reference pressure [-], at absolute pressure p [Pa]."""
 
     @abstractmethod
-    def modulus(self, p, modulus, slope):
+    def modulus(self, p, modulus, slope) -> Number:
         """Tangent modulus -v dp/dv [Pa] at absolute pressure p [Pa]."""
 
 
 class Murnaghan(AbstractLiquid):
     """Modulus linear in pressure, constant where the slope is 0. See `murnaghan_volume`."""
 
-    def volume(self, p, modulus, slope):
+    def volume(self, p, modulus, slope) -> Number:
         return murnaghan_volume(p, modulus, slope)
 
-    def modulus(self, p, modulus, slope):
+    def modulus(self, p, modulus, slope) -> Number:
         return murnaghan_modulus(p, modulus, slope)
 
 
@@ -124,18 +124,18 @@ class Tait(AbstractLiquid):
         "Pa", low=0.0, high=1e6, slip="it is an absolute pressure", level=True, default=ATMOSPHERE
     )
 
-    def volume(self, p, modulus, slope):
+    def volume(self, p, modulus, slope) -> Number:
         return tait_volume(p, modulus, slope, self.reference_pressure)
 
-    def modulus(self, p, modulus, slope):
+    def modulus(self, p, modulus, slope) -> Number:
         return tait_modulus(p, modulus, slope, self.reference_pressure)
 
 
 class DowsonHigginson(AbstractLiquid):
     """The equation of Dowson and Higginson, with b = (m - 1)/(2 K0). See `dowson_higginson_volume`."""
 
-    def volume(self, p, modulus, slope):
+    def volume(self, p, modulus, slope) -> Number:
         return dowson_higginson_volume(p, *dowson_higginson_parameters(modulus, slope))
 
-    def modulus(self, p, modulus, slope):
+    def modulus(self, p, modulus, slope) -> Number:
         return dowson_higginson_modulus(p, *dowson_higginson_parameters(modulus, slope))

@@ -61,11 +61,11 @@ class AbstractSolubility(eqx.Module):
         check_fields(self)
 
     @abstractmethod
-    def undissolved(self, p, air_ratio):
+    def undissolved(self, p, air_ratio) -> Number:
         """theta(p) [-] at absolute pressure p [Pa], with the free air at p0 per volume of liquid [-]."""
 
     @abstractmethod
-    def dissolving(self, p, air_ratio):
+    def dissolving(self, p, air_ratio) -> Number:
         """-d theta/dp [1/Pa]."""
 
     def air_content(self, air_ratio):
@@ -80,10 +80,10 @@ class LinearSolubility(AbstractSolubility):
         "Pa", low=1.02e5, high=1e9, slip="it is absolute and above atmospheric pressure", level=True, default=3e6
     )
 
-    def undissolved(self, p, air_ratio):
+    def undissolved(self, p, air_ratio) -> Number:
         return linear_undissolved(p, self.saturation_pressure)
 
-    def dissolving(self, p, air_ratio):
+    def dissolving(self, p, air_ratio) -> Number:
         between = (p > ATMOSPHERE) & (p < self.saturation_pressure)
         return array_module(self, p).where(between, 1.0 / (self.saturation_pressure - ATMOSPHERE), 0.0)
 
@@ -107,10 +107,10 @@ class PolynomialSolubility(AbstractSolubility):
         if isinstance(low, np.ndarray) and isinstance(high, np.ndarray) and np.any(low >= high):
             raise ValueError("vapour_pressure_high must be below saturation_pressure: were they swapped?")
 
-    def undissolved(self, p, air_ratio):
+    def undissolved(self, p, air_ratio) -> Number:
         return polynomial_undissolved(p, self.saturation_pressure, self.vapour_pressure_high)
 
-    def dissolving(self, p, air_ratio):
+    def dissolving(self, p, air_ratio) -> Number:
         x = _polynomial_place(p, self.saturation_pressure, self.vapour_pressure_high)
         bell = x * (1.0 - x)
         return 630.0 * bell * bell * bell * bell / (self.saturation_pressure - self.vapour_pressure_high)
@@ -130,11 +130,11 @@ class HenrySolubility(AbstractSolubility):
 
     bunsen_coefficient: Number = quantity("1", low=1e-4, high=1.0, slip="was it given in percent?", default=0.09)
 
-    def undissolved(self, p, air_ratio):
+    def undissolved(self, p, air_ratio) -> Number:
         saturation = henry_saturation_pressure(air_ratio, self.bunsen_coefficient)
         return array_module(self, p, air_ratio).where(p < saturation, 1.0 - p / saturation, 0.0)
 
-    def dissolving(self, p, air_ratio):
+    def dissolving(self, p, air_ratio) -> Number:
         saturation = henry_saturation_pressure(air_ratio, self.bunsen_coefficient)
         return array_module(self, p, air_ratio).where(p < saturation, 1.0 / saturation, 0.0)
 
