@@ -2,13 +2,15 @@
 
 import math
 
+import jax
 import numpy as np
 import pytest
+from jax.flatten_util import ravel_pytree
 
 from jaxlines import Line, Oil, Pipe, Vessel
 from jaxlines.catalogue import dsn70m
 from jaxlines.physics import article
-from jaxlines.physics.containers import capacity, volume_at
+from jaxlines.physics.containers import Hose, ViscoelasticHose, capacity, delayed_strain_rate, volume_at
 from jaxlines.physics.validity import (
     frequency_of_error,
     lumped_impedance_error,
@@ -117,6 +119,58 @@ def test_resistance_and_inertance():
     assert line.inertance(OIL) == pytest.approx(850 * 20.83 / 1.442074e-3, rel=1e-5)
 
 
+HOSE = ViscoelasticHose(2.0, 0.02, static_modulus=4e8, dynamic_modulus=1e9, relaxation_time=0.3)
+
+
+def test_capacity_at_constant_strain_is_the_derivative_of_mass():
+    fluid = Oil(1.4e9, 850.0, air_fraction=0.02)
+    for p in (2e5, 2e6, 2e7):
+        step = 1e-4 * p
+        mass = [fluid.density_at(q) * volume_at(HOSE, fluid, q, 0.01) for q in (p - step, p + step)]
+        assert capacity(HOSE, fluid, p, 0.01) == pytest.approx((mass[1] - mass[0]) / (2 * step), rel=1e-7)
+        given = [fluid.density_at(q, 0.3) * volume_at(HOSE, fluid, q, 0.01) for q in (p - step, p + step)]
+        assert capacity(HOSE, fluid, p, 0.01, 0.3) == pytest.approx((given[1] - given[0]) / (2 * step), rel=1e-7)
+
+
+CONTAINERS = {
+    "pipe": Pipe(12.8, 0.04285, 0.06032),
+    "anchored": Pipe(12.8, 0.04285, 0.06032, restraint="upstream"),
+    "thin": Pipe(12.8, 0.04285, 0.046, restraint="throughout", wall="thin"),
+    "capped": Pipe(12.8, 0.04285, 0.06032, restraint="capped"),
+    "hose": Hose(2.0, 0.02, 5e8),
+    "rigid hose": Hose(2.0, 0.02, np.inf),
+    "visco-elastic hose": HOSE,
+    "Kelvin-Voigt hose": ViscoelasticHose(2.0, 0.02, 4e8, np.inf, 0.3),
+    "vessel": Vessel(1e-3, 4e9),
+    "rigid": Vessel(1e-3),
+}
+
+
+@pytest.mark.parametrize("name", CONTAINERS)
+def test_gradients_of_containers(name):
+    """Of volume, capacity and creep in every number of the container, pressure and strain, against differences."""
+    fluid = Oil(1.4e9, 850.0, 30e-6, 0.01, 1.2, 6.0)
+
+    def found(x):
+        container, p, strain = restore(x)
+        creep = [delayed_strain_rate(container, fluid, p, strain)] if container.delayed else []
+        return jax.numpy.stack([volume_at(container, fluid, p, strain), capacity(container, fluid, p, strain), *creep])
+
+    with jax.enable_x64(True):
+        found, slopes = jax.jit(found), jax.jit(jax.jacfwd(found))
+        for p in (2e4, 5e6, 2e7):
+            x, restore = ravel_pytree((CONTAINERS[name], p, 0.01))
+            exact, largest = np.asarray(slopes(x)), np.abs(found(x))
+            assert np.all(np.isfinite(exact))
+            for i, size in enumerate(np.asarray(x)):
+                if np.isinf(size) or size == 0.0:  # the infinite modulus of a rigid wall, the roughness of a smooth one
+                    assert np.all(exact[:, i] == 0.0)
+                    continue
+                h = 1e-3 * np.eye(len(x))[i] * size
+                change = (8 * (found(x + h) - found(x - h)) - (found(x + 2 * h) - found(x - 2 * h))) / 12e-3
+                np.testing.assert_allclose(exact[:, i] * size / largest, change / largest, rtol=1e-6, atol=1e-12)
+
+
 def test_impedance_of_a_lumped_line():
     phases = {0.01: 0.17303, 0.05: 0.38537, 0.10: 0.54228, 0.20: 0.75931, 0.50: 1.16556}
     for error, phase in phases.items():
@@ -144,6 +198,20 @@ def test_impedance_of_a_lumped_line():
         ),
         (lambda: Vessel(-1.0), "volume must be .* got -1 m"),
         (lambda: Vessel(1e-3, wall_modulus=4.0), "wall_modulus must be .* got 4 Pa: was it given in MPa or bar"),
+        (lambda: Pipe(12.8, 0.04, 0.06, roughness=15.0), "roughness must be .* got 15 m: was it given in mm or micro"),
+        (lambda: Pipe(12.8, 0.04, 0.06, restraint="anchored"), "restraint must be one of .* got 'anchored'"),
+        (lambda: Pipe(12.8, 0.04, 0.06, wall="steel"), 'wall must be "thick" or "thin", got \'steel\''),
+        (lambda: Hose(2.0, 19.05, 4e8), "inner_diameter must be .* got 19.05 m: was it given in mm"),
+        (lambda: Hose(2.0, 0.01905, 400.0), "wall_modulus must be .* got 400 Pa: was it given in MPa or bar"),
+        (
+            lambda: Hose.from_expansion(2.0, 0.01905, 2.0, 7e6),
+            r"expansion must be .* got 2 m\^3/m: was it given in cm\^3/m",
+        ),
+        (
+            lambda: ViscoelasticHose(2.0, 0.02, 1e9, 4e8, 0.3),
+            "dynamic_modulus must not be below static_modulus, got 4e.08 Pa and 1e.09 Pa: were they swapped",
+        ),
+        (lambda: ViscoelasticHose(2.0, 0.02, 4e8, 1e9, 0.0), "relaxation_time must be .* got 0 s"),
         (lambda: Vessel.from_effective_modulus(1e-3, 1.4e9, 1.3e9), "effective_modulus must not exceed the fluid's"),
     ],
 )

@@ -26,8 +26,8 @@ def _softplus(x, width):
     return width * array_module(x, width).logaddexp(x / width, 0.0)
 
 
-def _mass_by_pressure(fluid: Oil, p):
-    """drho/dp of the oil [kg/(m^3 Pa)]; zero where its density is constant."""
+def _density_slope(fluid: Oil, p):
+    """drho/dp of the oil [kg/(m^3 Pa)], its air at equilibrium; zero where its density is constant."""
     return 0.0 * p if fluid.mass == "article" else fluid.density_at(p) / fluid.mixture_modulus(p)
 
 
@@ -84,7 +84,7 @@ class Accumulator(AbstractComponent):
 
     def capacity(self, fluid: Oil, p) -> Number:
         """dm/dp = rho dV_o/dp + V_o drho/dp [kg/Pa] at absolute pressure p [Pa]."""
-        return fluid.density_at(p) * self.compliance(p) + self.oil_volume(p) * _mass_by_pressure(fluid, p)
+        return fluid.density_at(p) * self.compliance(p) + self.oil_volume(p) * _density_slope(fluid, p)
 
 
 _SMALLEST_GAS = 1e-3
@@ -154,7 +154,7 @@ class NitrogenAccumulator(AbstractComponent):
         cooling = (self.wall_temperature - temperature) / self.thermal_time_constant
         by_temperature = self.gas.pressure_by_temperature(density, temperature)
         stiffness = isentropic_stiffness(self.gas, density, temperature) * density / gas_mass
-        swelling = oil * _mass_by_pressure(at.fluid, pressure)
+        swelling = oil * _density_slope(at.fluid, pressure)
         rate = (swelling * by_temperature * cooling - mass) / (at.fluid.density_at(pressure) + swelling * stiffness)
 
         heating = temperature * by_temperature / (self.gas.heat_capacity(density, temperature) * gas_mass)

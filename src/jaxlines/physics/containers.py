@@ -6,7 +6,7 @@ V(p) = V_ref exp((p - p_atm)/K_c). Wall elasticity appears here and nowhere else
 
 from abc import abstractmethod
 from dataclasses import MISSING
-from typing import ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import equinox as eqx
 import numpy as np
@@ -39,7 +39,10 @@ class AbstractConduit(AbstractContainer):
 
     length: eqx.AbstractVar[Number]
     inner_diameter: eqx.AbstractVar[Number]
-    roughness: eqx.AbstractVar[Number]
+    if TYPE_CHECKING:  # a type checker would take it for the third argument of every conduit
+        roughness: ClassVar[Any]
+    else:
+        roughness: eqx.AbstractVar[Number]
 
     def reference_volume(self):
         return area(self) * self.length
@@ -129,7 +132,7 @@ class Hose(AbstractConduit):
     """
 
     length: Number = _length()
-    inner_diameter: Number = _diameter(20.0)
+    inner_diameter: Number = _diameter(2.0)
     wall_modulus: Number = _wall_modulus()
     roughness: Number = _roughness()
 
@@ -156,7 +159,7 @@ class ViscoelasticHose(AbstractConduit):
     """
 
     length: Number = _length()
-    inner_diameter: Number = _diameter(20.0)
+    inner_diameter: Number = _diameter(2.0)
     static_modulus: Number = _wall_modulus()
     dynamic_modulus: Number = _wall_modulus()
     relaxation_time: Number = quantity("s", low=1e-6, high=1e6, slip="was it given in ms?")
@@ -193,7 +196,6 @@ class Vessel(AbstractContainer):
     Args: volume at atmospheric pressure [m^3]; wall_modulus K_c of the CONTAINER alone [Pa] (rigid by
         default). A modulus that already contains the fluid's belongs to `from_effective_modulus`:
         giving it here would count the fluid's compliance twice.
-    Typical values: hydraulic hose 5e7..1e9 Pa (the antennas' hose: 4.32e9 Pa, very stiff).
     """
 
     volume: Number = quantity("m^3", low=0.0, high=1e7, slip="was it given in litres or cm^3?")
@@ -238,9 +240,8 @@ def capacity(container: AbstractContainer, fluid: Oil, p, strain=0.0, undissolve
     Args: strain: delayed strain of the wall [-]; undissolved: fraction of the air that is not dissolved [-], for
         a fluid whose air dissolves slowly. Both are held constant.
     """
-    air = () if undissolved is None else (undissolved,)
-    effective = series_modulus(container.container_modulus(), fluid.mixture_modulus(p, *air))
-    return fluid.density_at(p, *air) * volume_at(container, fluid, p, strain) / effective
+    effective = series_modulus(container.container_modulus(), fluid.mixture_modulus(p, undissolved))
+    return fluid.density_at(p, undissolved) * volume_at(container, fluid, p, strain) / effective
 
 
 def delayed_strain_rate(container: ViscoelasticHose, fluid: Oil, p, strain) -> Number:
