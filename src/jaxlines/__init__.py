@@ -18,6 +18,11 @@ if TYPE_CHECKING:  # the public names; each is imported when it is first used (s
     from jaxlines.inference.recording import Recording as Recording
     from jaxlines.physics.containers import Pipe as Pipe, Vessel as Vessel
     from jaxlines.physics.fluids import Oil as Oil
+    from jaxlines.physics.friction import (
+        ChurchillFriction as ChurchillFriction,
+        HaalandFriction as HaalandFriction,
+        LaminarFriction as LaminarFriction,
+    )
     from jaxlines.physics.lines import FluidInertia as FluidInertia, Line as Line
     from jaxlines.physics.motors import (
         Brake as Brake,
@@ -30,8 +35,10 @@ if TYPE_CHECKING:  # the public names; each is imported when it is first used (s
     from jaxlines.physics.sensors import FlowSensor as FlowSensor, PressureSensor as PressureSensor
     from jaxlines.physics.servovalve import Servovalve as Servovalve
     from jaxlines.physics.sources import FlowSource as FlowSource, PressureSource as PressureSource, Tank as Tank
+    from jaxlines.physics.weighting import TrikhaWeights as TrikhaWeights, VitkovskyWeights as VitkovskyWeights
     from jaxlines.simulation.circuit import Circuit as Circuit
     from jaxlines.simulation.integration import implicit as implicit
+    from jaxlines.simulation.segments import choose_segments as choose_segments
     from jaxlines.simulation.signals import Constant as Constant, Sampled as Sampled, Sine as Sine, Step as Step
     from jaxlines.simulation.simulate import simulate as simulate
 

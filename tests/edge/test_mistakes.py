@@ -35,7 +35,7 @@ IN_STUDY = [
     (("derived =", "derivd ="), "fit: unknown key 'derivd', did you mean 'derived'?"),
     (("[fluid]", "[fluit]"), "unknown key 'fluit', did you mean 'fluid'?"),
     (('"FlowSource"', '"Flowsource"'), "circuit.valve: unknown type 'Flowsource', did you mean 'FlowSource'?"),
-    (('"Line"', '"Hose"'), "circuit.line: unknown type 'Hose', known: Line, "),
+    (('"Line"', '"Hose"'), "circuit.line: unknown type 'Hose', known: Accumulator, "),
     (('"FlowSource"\nnode = "A"', '"FlowSource"\nnode = "AA"'), "node 'AA' has no capacity, so that its pressure is"),
     (('"Tank"\nnode = "tank"', '"Tank"\nnode = "tnk"'), "or a PressureSource, or correct the name"),
     (('"1.5 bar_a"', '"1.5 bar"'), "fit.free.3.start: 'bar' does not say from where it counts: write bar_a (absolute)"),

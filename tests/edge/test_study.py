@@ -8,7 +8,7 @@ import pytest
 from studies import write_study
 
 from jaxlines import FlowSource, Line, Pipe, PressureSensor, PressureSource, Sine, Step, Vessel
-from jaxlines.edge.building import StudyError, _mentions, _public_classes
+from jaxlines.edge.building import StudyError, _family, _public_classes
 from jaxlines.edge.study import load_study
 from jaxlines.inference.parameters import Free, Known
 from jaxlines.physics.component import AbstractComponent
@@ -131,9 +131,8 @@ def test_every_public_class_can_stand_in_a_study():
         hints = typing.get_type_hints(kind)
         for field in dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ():
             hint = hints[field.name]
-            plain = (
-                hint in (str, bool, int) or _mentions(hint, AbstractContainer) or {"unit", "port"} & set(field.metadata)
-            )
+            simple = {hint, *typing.get_args(hint)} & {str, bool, int}
+            plain = simple or _family(hint) or {"unit", "port"} & set(field.metadata)
             if issubclass(kind, STUDIED) and not plain and not issubclass(kind, Sampled):
                 open_fields.append(f"{kind.__name__}.{field.name}: {hint}")
     assert not open_fields

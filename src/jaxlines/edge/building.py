@@ -12,12 +12,12 @@ import pkgutil
 import re
 import typing
 
+import equinox as eqx
 import numpy as np
 
 from jaxlines import physics
 from jaxlines.edge.units import si
 from jaxlines.physics.component import AbstractComponent
-from jaxlines.physics.containers import AbstractContainer
 from jaxlines.physics.fields import AbstractSignal, External
 from jaxlines.physics.fluids import Oil
 from jaxlines.physics.sensors import AbstractSensor
@@ -126,12 +126,16 @@ class Builder:
             return self.driven(value, metadata, where)
         if "unit" in metadata:
             return self.numbers(value, metadata, where)
-        if _mentions(hint, AbstractContainer):
+        family = _family(hint)
+        if family is not None and typing.get_origin(hint) is tuple:
             tables = value if isinstance(value, list) else [value]
-            return tuple(self.choose(t, (AbstractContainer,), f"{where}.{i}") for i, t in enumerate(tables))
-        wanted = hint if hint in (int, float, bool) else str
-        if type(value) is not wanted:
-            what = "the name of a node" if "port" in metadata else f"a value of type {wanted.__name__}"
+            return tuple(self.choose(t, (family,), f"{where}.{i}") for i, t in enumerate(tables))
+        if family is not None:
+            return self.choose({"type": value} if isinstance(value, str) else value, (family,), where)
+        wanted = [kind for kind in (hint, *typing.get_args(hint)) if kind in (int, float, bool, str)] or [str]
+        if type(value) not in wanted:
+            kinds = " or ".join(kind.__name__ for kind in wanted)
+            what = "the name of a node" if "port" in metadata else f"a value of type {kinds}"
             raise StudyError(f"{where}: expected {what}, got {value!r}")
         return value
 
@@ -157,11 +161,11 @@ def _signal_metadata(name: str, metadata: dict, driven: dict) -> dict:
     return metadata
 
 
-def _mentions(hint, base: type) -> bool:
-    """Whether an annotation is of a class of this kind, or contains one."""
+def _family(hint) -> type | None:
+    """The family of physical objects (`AbstractContainer`, `AbstractFriction`) that an annotation asks for, if any."""
     if isinstance(hint, type) and not typing.get_args(hint):
-        return issubclass(hint, base)
-    return any(_mentions(inner, base) for inner in typing.get_args(hint))
+        return hint if issubclass(hint, eqx.Module) and hint.__name__.startswith("Abstract") else None
+    return next((found for inner in typing.get_args(hint) if (found := _family(inner)) is not None), None)
 
 
 def _atmosphere(fluid: dict) -> float:

@@ -13,6 +13,7 @@ from jaxlines.simulation.observation import quantities, sensor_units, shown_by_d
 from jaxlines.simulation.paths import resolve
 from jaxlines.simulation.plan import initial_names
 from jaxlines.simulation.precision import computing_in
+from jaxlines.simulation.segments import FEWEST, undecided_lines, with_segments
 from jaxlines.simulation.signals import Constant
 
 
@@ -46,7 +47,9 @@ def names_of(circuit: Circuit) -> Names:
         for name, places in circuit.external_inputs().items()
     }
     with computing_in("float64"):
-        plan, values = compile_circuit(circuit, None, {name: Constant(np.asarray(0.0)) for name in inputs})
+        # The names of a line do not depend on how many segments it will have.
+        settled = with_segments(circuit, dict.fromkeys(undecided_lines(circuit), FEWEST))
+        plan, values = compile_circuit(settled, None, {name: Constant(np.asarray(0.0)) for name in inputs})
         known, sensors = quantities(plan), sensor_units(circuit, plan)
         numbers = tuple(number_locations(plan, values))
     units = {name: q.unit for name, q in known.items()} | sensors

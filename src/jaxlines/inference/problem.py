@@ -17,6 +17,7 @@ from jaxlines.simulation.paths import replace_leaves, resolve
 from jaxlines.simulation.plan import Plan, Values
 from jaxlines.simulation.precision import cast, computing_in
 from jaxlines.simulation.result import MESSAGES, STATUS
+from jaxlines.simulation.segments import choose_segments
 from jaxlines.simulation.signals import Sampled
 from jaxlines.simulation.simulate import bind_inputs
 
@@ -275,6 +276,7 @@ def make_problem(
     """Check a fit's arguments and compile them into a problem. Raises as `fit` documents."""
     with computing_in(precision):
         signals, padded = _bound(circuit, recording, interpolation)
+        circuit = _settled(circuit, recording, signals, initial or {}, free)
         plan, values = compile_circuit(circuit, initial, padded)
         fitted, units = _split_channels(circuit, plan, recording)
         known_locations = number_locations(plan, values)
@@ -303,6 +305,18 @@ def make_problem(
         groups=tuple(groups),
         known_values=known_values,
     )
+
+
+def _settled(circuit: Circuit, recording: Recording, signals: dict, initial: dict, free) -> Circuit:
+    """The circuit with the numbers of segments that the slowest waves within the bounds need."""
+    variants = []
+    for path, bound in [(p, b) for f in free for p in f.paths for b in f.bounds]:
+        owner, _, rest = path.partition(".")
+        if owner == "initial":
+            variants.append((circuit, initial | {rest: bound}))
+        elif owner == "fluid" or owner in circuit.components:
+            variants.append((circuit.replace({path: bound}, check=False), initial))
+    return choose_segments(circuit, recording.times, signals, initial=initial, variants=variants)
 
 
 def _number(values: Values, locations, path: str):

@@ -28,6 +28,10 @@ ATMOSPHERE = 101325.0
 """Reference pressure of densities and air fractions [Pa absolute] (ISO 2533 standard atmosphere)."""
 
 
+GRAVITY = 9.80665
+"""Standard acceleration of gravity [m/s^2] (3rd CGPM, 1901)."""
+
+
 class AbstractSignal(eqx.Module):
     """A number as a function of time, `signal(t)`, with the times of its jumps as data."""
 

@@ -45,3 +45,12 @@ def frequency_of_error(length, speed, error):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if 1.0 - lumped_impedance_ratio(middle) > error else (middle, high)
     return low * speed / (2.0 * np.pi * length)
+
+
+def ladder_delay_error(segments_per_wavelength):
+    """How much too slow a wave runs through a chain of segments: 1 - sin(pi/N)/(pi/N) [-], about pi^2/(6 N^2).
+
+    Args: segments_per_wavelength N [-]. Typical values: 1.6 % at 10, 0.41 % at 20, 0.10 % at 40.
+    From the exact dispersion of the staggered chain, omega = (2 c/dx) sin(k dx/2).
+    """
+    return 1.0 - array_module(segments_per_wavelength).sinc(1.0 / segments_per_wavelength)

@@ -9,6 +9,7 @@ from jaxlines.physics.lines import Line
 from jaxlines.simulation.circuit import Circuit
 from jaxlines.simulation.signals import Sampled
 from jaxlines.simulation.validity import lines_to_check
+from jaxlines.simulation.wave_validity import wave_lines
 
 
 def _values(signal: AbstractSignal, times) -> np.ndarray:
@@ -19,7 +20,7 @@ def _values(signal: AbstractSignal, times) -> np.ndarray:
 def _seen_by(name: str, part, fluid, times, outputs, inputs) -> Situation:
     """What a component saw at the saved times. Raises ValueError when something of it was not saved."""
     potentials = {p: f"{getattr(part, p)}.{DOMAINS[d].potential}" for p, d in ports_of(part).items()}
-    states = {state.name: f"{name}.{state.name}" for state in part.states}
+    states = {state.name: f"{name}.{state.name}" for state in part.states_in(fluid)}
     missing = [q for q in (*potentials.values(), *states.values()) if q not in outputs]
     if missing:
         raise ValueError(
@@ -35,22 +36,48 @@ def _seen_by(name: str, part, fluid, times, outputs, inputs) -> Situation:
 
 
 def line_flows(circuit: Circuit, times, outputs, inputs) -> dict[str, np.ndarray]:
-    """For each line to check the sum of the volume flows into its node at the saved times [m^3/s].
+    """For each lumped line to check the sum of the volume flows into its node at the saved times [m^3/s].
 
-    Inlets only, so that fluid on its way through counts once; lines that share a node get the same flow.
+    Inlets only, so that fluid on its way through counts once; lines that share a node get the same flow. For each
+    segmented line the flows along it, shape (columns, times).
     """
     nodes = {line.node for line in lines_to_check(circuit).values()}
     inflow = dict.fromkeys(nodes, np.zeros(len(times)))
     for name, part in circuit.parts().items():
         attached = {p: getattr(part, p) for p in ports_of(part) if getattr(part, p) in nodes}
-        if not attached or isinstance(part, Line):
+        if isinstance(part, Line):
+            if part.to is not None:
+                _add_wave_line(inflow, name, part, outputs)
+            continue
+        if not attached:
             continue
         at = _seen_by(name, part, circuit.fluid, times, outputs, inputs)
         mass = part.evaluate(at).flow
         for port, node in attached.items():
             density = circuit.fluid.density_at(at.potential[port])
             inflow[node] = inflow[node] + np.maximum(np.asarray(mass.get(port, 0.0)) / density, 0.0)
-    return {name: inflow[line.node] for name, line in lines_to_check(circuit).items()}
+    flows = {name: inflow[line.node] for name, line in lines_to_check(circuit).items()}
+    return flows | {name: column_flows(name, line, outputs) for name, line in wave_lines(circuit).items()}
+
+
+def column_flows(name: str, line: Line, outputs) -> np.ndarray:
+    """Volume flows along a segmented line at the saved times [m^3/s], shape (columns, times)."""
+    columns = line.ladder().cut.columns.size
+    missing = [i for i in range(columns) if f"{name}.volume_flow.{i}" not in outputs]
+    if missing:
+        raise ValueError(
+            f"the validity check needs {name}.volume_flow.{missing[0]}, which was not saved: "
+            "simulate without `outputs`, or name it there"
+        )
+    return np.stack([np.asarray(outputs[f"{name}.volume_flow.{i}"]) for i in range(columns)])
+
+
+def _add_wave_line(inflow: dict, name: str, line: Line, outputs) -> None:
+    """Add what a segmented line feeds into the nodes at its ends, which its flows say."""
+    flows = column_flows(name, line, outputs)
+    for node, feed in ((line.node, -flows[0]), (line.to, flows[-1])):
+        if node in inflow:
+            inflow[node] = inflow[node] + np.maximum(feed, 0.0)
 
 
 def signal_records(circuit: Circuit, times, inputs) -> dict[str, tuple]:

@@ -9,7 +9,7 @@ from jaxlines.simulation.circuit import Circuit
 from jaxlines.simulation.line_records import line_flows, signal_records
 from jaxlines.simulation.paths import resolve
 from jaxlines.simulation.precision import computing_in
-from jaxlines.simulation.validity import Validity, check_validity, lines_to_check
+from jaxlines.simulation.validity import Validity, check_validity, nodes_to_check
 
 MESSAGES = {
     "ok": "the trajectory was computed to the tolerance",
@@ -69,8 +69,7 @@ class Simulation(eqx.Module):
         with computing_in("float64"):
             flows = line_flows(self.circuit, self.times, self.outputs, self.inputs)
             records = signal_records(self.circuit, self.times, self.inputs)
-        nodes = {line.node for line in lines_to_check(self.circuit).values()}
-        pressures = {node: self.outputs[f"{node}.pressure"] for node in nodes}
+        pressures = {node: self.outputs[f"{node}.pressure"] for node in nodes_to_check(self.circuit)}
         return check_validity(self.circuit, self.times, pressures, flows, records, highest_frequency)
 
     def to_xarray(self):

@@ -15,6 +15,7 @@ from jaxlines.simulation.paths import resolve
 from jaxlines.simulation.plan import Plan
 from jaxlines.simulation.precision import cast, computing_in, is_traced
 from jaxlines.simulation.result import Simulation
+from jaxlines.simulation.segments import choose_segments
 from jaxlines.simulation.signals import Constant, Sampled, Step, as_signal
 
 
@@ -81,6 +82,7 @@ def simulate(
     gradient: str = "reverse",
     precision: str = "float64",
     throw: bool = True,
+    highest_frequency: float | None = None,
 ) -> Simulation:
     """Simulate a circuit and return what its sensors see at the requested times.
 
@@ -103,6 +105,7 @@ def simulate(
         gradient: "reverse" (jax.grad) or "forward" (jax.jacfwd); each refuses the other.
         precision: "float64" or "float32".
         throw: raise when the trajectory fails; else look at `status`.
+        highest_frequency: that must be right [Hz], for lines with segments="auto" (see `choose_segments`).
 
     Returns: a `Simulation`: outputs by name, status, step counts, `validity()`, `to_xarray()`.
     Raises: ValueError and KeyError for a wrong call; RuntimeError (with `throw`) for a failed trajectory.
@@ -111,6 +114,7 @@ def simulate(
     traced = is_traced(circuit, times, inputs, initial)
     with computing_in(precision, circuit, times, inputs, initial):
         bound = bind_inputs(circuit, inputs, times)
+        circuit = choose_segments(circuit, times, bound, initial=initial, highest_frequency=highest_frequency)
         plan, values = compile_circuit(circuit, initial, bound)
         wanted = _wanted(circuit, plan, outputs)
         method = make_method(solver, gradient, max_steps, max_step)

@@ -6,16 +6,14 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxlines.physics.article import lumped_model_is_valid
-from jaxlines.physics.containers import Pipe
+from jaxlines.physics.containers import AbstractConduit
 from jaxlines.physics.lines import Line
 from jaxlines.physics.validity import frequency_of_error, lumped_impedance_error, quarter_wave_frequency
 from jaxlines.simulation.circuit import Circuit
+from jaxlines.simulation.wave_validity import LAMINAR_LIMIT, WaveLineValidity, check_wave_line, wave_lines
 
 ERROR_LIMIT = 0.10
 """Largest error of the input impedance, and largest drop relative to the pressure, that counts as valid."""
-
-LAMINAR_LIMIT = 2000.0
-"""Reynolds number up to which the laminar friction drop holds."""
 
 _FLAT = 1e-6
 _FINEST = 65536
@@ -62,7 +60,7 @@ class LineValidity(NamedTuple):
 class Validity:
     """Validity of the lumped model for each line with a path length, and the source of the highest frequency."""
 
-    lines: tuple[LineValidity, ...]
+    lines: tuple[LineValidity | WaveLineValidity, ...]
     highest_frequency: float
     frequency_source: str
 
@@ -140,7 +138,7 @@ def spectral_edge(times, values, fraction: float = 0.99) -> float:
 
 def _pipe_numbers(line: Line, fluid, flow, times) -> tuple[float, float, float] | tuple[None, None, None]:
     """Largest Reynolds number, friction drop and inertia drop [Pa]; nothing without pipes."""
-    pipes = [part for part in line.parts if isinstance(part, Pipe)]
+    pipes = [part for part in line.parts if isinstance(part, AbstractConduit)]
     if not pipes:
         return None, None, None
     largest, fastest = np.max(np.abs(flow)), np.max(np.abs(np.gradient(flow, times)))
@@ -180,30 +178,39 @@ def _check_line(name: str, line: Line, fluid, times, pressure, flow, frequency: 
 
 
 def lines_to_check(circuit: Circuit) -> dict[str, Line]:
-    """The lines whose path length is known, by name."""
-    lines = {name: part for name, part in circuit.parts().items() if isinstance(part, Line)}
+    """The lumped lines whose path length is known, by name."""
+    lines = {name: part for name, part in circuit.parts().items() if isinstance(part, Line) and part.to is None}
     return {name: line for name, line in lines.items() if float(line.path_length) > 0.0}
 
 
+def nodes_to_check(circuit: Circuit) -> set[str]:
+    """The nodes whose pressures the check needs."""
+    ends = {node for line in wave_lines(circuit).values() for node in (line.node, line.to) if node is not None}
+    return ends | {line.node for line in lines_to_check(circuit).values()}
+
+
 def check_validity(circuit: Circuit, times, pressures, flows, signals, highest_frequency=None) -> Validity:
-    """Check the lumped lines of a circuit against what happened in it.
+    """Check the lines of a circuit, lumped and segmented, against what happened in it.
 
     Args:
         circuit: its lines with a path_length are checked, on concrete numbers.
         times: of pressures and flows [s], shape (times,).
         pressures: node -> absolute pressure [Pa], at least for the lines' nodes.
-        flows: name of the line -> volume flow into it [m^3/s]; used for the drops only.
+        flows: name of the line -> volume flow into it [m^3/s], used for the drops only; of a segmented line the
+            flows along it, shape (columns, times).
         signals: name -> (times, values) of the inputs.
         highest_frequency: f of eq. (11) [Hz]; by default the highest spectral edge of signals and pressures.
     """
-    lines = lines_to_check(circuit)
     times = np.asarray(times, dtype=float)
     edges = {name: spectral_edge(*record) for name, record in signals.items()}
-    edges |= {f"{line.node}.pressure": spectral_edge(times, pressures[line.node]) for line in lines.values()}
+    edges |= {f"{node}.pressure": spectral_edge(times, pressures[node]) for node in sorted(nodes_to_check(circuit))}
     source = max(edges, key=edges.__getitem__, default="none")
     frequency = float(edges.get(source, 0.0) if highest_frequency is None else highest_frequency)
     checked = tuple(
         _check_line(name, line, circuit.fluid, times, pressures[line.node], flows[name], frequency)
-        for name, line in lines.items()
+        for name, line in lines_to_check(circuit).items()
     )
+    for name, line in wave_lines(circuit).items():
+        ends = np.stack([np.asarray(pressures[node]) for node in (line.node, line.to)])
+        checked += (check_wave_line(name, line, circuit.fluid, ends, flows[name], frequency),)
     return Validity(checked, frequency, source if highest_frequency is None else "given")
