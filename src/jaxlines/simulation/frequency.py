@@ -33,13 +33,18 @@ def _laplace(frequencies):
     return 2j * np.pi * array_module(frequencies).asarray(frequencies)
 
 
-def _modulus(conduit: AbstractConduit, fluid: Oil, pressure, s):
-    """Modulus of fluid and wall that gives the line the capacity it has at a pressure, complex when it creeps."""
+def _numbers(conduit: AbstractConduit, fluid: Oil, pressure, s):
+    """Length, bore, density, viscosity and modulus of a filled line; the modulus is complex when the wall creeps.
+
+    The modulus is that which gives the line the capacity it has at the pressure.
+    """
+    check_range("pressure", pressure, _PRESSURE)
     density = fluid.density_at(pressure)
     modulus = density * conduit.reference_volume() / capacity(conduit, fluid, pressure)
-    if not isinstance(conduit, ViscoelasticHose):
-        return modulus
-    return 1.0 / (1.0 / modulus + conduit.delayed_compliance() / (1.0 + s * conduit.relaxation_time))
+    if isinstance(conduit, ViscoelasticHose):
+        delayed = conduit.delayed_compliance() / (1.0 + s * conduit.relaxation_time)
+        modulus = 1.0 / (1.0 / modulus + delayed)
+    return conduit.length, conduit.inner_diameter, density, fluid.dynamic_viscosity(pressure) / density, modulus
 
 
 def line_matrix(
@@ -72,21 +77,18 @@ def line_matrix(
             f"line_matrix needs a pipe or hose, got {type(conduit).__name__}: a vessel is "
             "volume_matrix(vessel_capacitance(vessel, fluid, pressure), frequencies)"
         )
-    given = (conduit, fluid, pressure, frequencies, friction if not isinstance(friction, str) else None)
+    weights = None if isinstance(friction, str) else friction
+    given = (conduit, fluid, pressure, frequencies, weights)
     with computing_in("float64", given):
         if not is_traced(given):
             given = jax.tree.map(lambda x: np.asarray(x, dtype=np.float64), given)
         conduit, fluid, pressure, frequencies, weights = given
-        check_range("pressure", pressure, _PRESSURE)
         check_range("frequencies", frequencies, _FREQUENCY)
-        s = _laplace(frequencies)
-        viscosity = fluid.dynamic_viscosity(pressure) / fluid.density_at(pressure)
-        numbers = (conduit.length, conduit.inner_diameter, fluid.density_at(pressure), viscosity)
-        numbers = (*numbers, _modulus(conduit, fluid, pressure, s))
-        law = friction if isinstance(friction, str) else weights
+        s, law = _laplace(frequencies), friction if isinstance(friction, str) else weights
+        numbers = _numbers(conduit, fluid, pressure, s)
         if segments is None:
-            return transmission_matrix(s, *numbers, friction="distributed" if law is None else law)
-        return ladder_matrix(s, segments, *numbers, friction="steady" if law is None else law, model=model)
+            return transmission_matrix(s, *numbers, friction=law or "distributed")
+        return ladder_matrix(s, segments, *numbers, friction=law or "steady", model=model)
 
 
 def vessel_capacitance(container: AbstractContainer, fluid: Oil, pressure):
