@@ -19,7 +19,7 @@ from jaxlines.physics.distributed import (
     transmission_matrix,
     womersley_impedance,
 )
-from jaxlines.physics.weighting import KagawaWeights, TrikhaWeights
+from jaxlines.physics.weighting import KagawaWeights, TrikhaWeights, VitkovskyTurbulentWeights
 
 # 20.83 m of the antennas' 2-in pipe: length, inner diameter, density, viscosity, effective modulus.
 PIPE = (20.83, 2 * 0.0214249, 850.0, 27.7e-6, 1.3211e9)
@@ -246,6 +246,8 @@ def test_derivatives(friction, segments):
 def test_unknown_words_are_refused():
     with pytest.raises(ValueError, match=r"friction must be one of .*'distributed'.* got 'laminar'"):
         transmission_matrix(1j, *PIPE, "laminar")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match="VitkovskyTurbulentWeights is for turbulent mean flow"):
+        transmission_matrix(1j, *PIPE, VitkovskyTurbulentWeights(1e4))
     with pytest.raises(ValueError, match='model "pi" or "T", got 4 and \'L\''):
         ladder_matrix(1j, 4, *PIPE, model="L")  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="segments must be at least 1"):

@@ -1,8 +1,5 @@
 """Impedances of lines: exact numbers, closed forms, passivity, derivatives, and a fit of a measured impedance."""
 
-import runpy
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,8 +8,9 @@ from hypothesis import given, settings, strategies as st
 from scipy.optimize import least_squares
 
 import jaxlines as jl
+from jaxlines.physics.component import Situation
 from jaxlines.physics.containers import Hose, ViscoelasticHose, capacity
-from jaxlines.physics.distributed import bessel_ratio, characteristic_impedance
+from jaxlines.physics.distributed import characteristic_impedance
 from jaxlines.physics.weighting import KagawaWeights
 from jaxlines.simulation.frequency import (
     chain,
@@ -30,7 +28,6 @@ from jaxlines.simulation.frequency import (
     volume_matrix,
 )
 
-TIME = runpy.run_path(str(Path(__file__).parents[2] / "experiments" / "inverse_laplace.py"))
 OIL = jl.Oil(1.379e9, 850.0, 27.7e-6, mass="article")
 # A hose whose wall makes the effective modulus 1.3211e9 Pa, that of the antennas' 2-in pipe.
 WALL = 1.0 / (1.0 / 1.3211e9 - 1.0 / 1.379e9)
@@ -207,52 +204,36 @@ def test_bulk_modulus_and_viscosity_from_a_measured_impedance():
     assert deviation[0] < 1e-3 and deviation[1] < 0.02
 
 
-# Pressure at the valve in units of rho c V0 after an instantaneous closure, by two settings of another inversion.
-HAMMER_TIMES = np.array([0.5, 1.0, 1.5, 2.5, 3.0, 3.5, 5, 7, 9, 11, 13, 15])
-HAMMER = {
-    6.702481e-3: (
-        *(1.068803, 1.099453, 1.123882, -0.660496, -0.775952, -0.839287),
-        *(0.780131, -0.522023, 0.525186, -0.301912, 0.321674, -0.128453),
-    ),
-    1.00826118e-3: (
-        *(1.025847, 1.036859, 1.045434, -0.883127, -0.928634, -0.953277),
-        *(0.919617, -0.832988, 0.815148, -0.736313, 0.715762, -0.642153),
-    ),
-}
+@pytest.mark.parametrize("weights", [None, KagawaWeights(6)])
+@pytest.mark.parametrize("model", ["pi", "T"])
+def test_ladder_is_the_segmented_line_of_the_simulator(model, weights):
+    """The simulator's line linearised about rest by automatic differentiation, its states solved for s."""
+    line = jl.Line("a", LINE, to="b", segments=4, model=model, weights=weights)
+    names = {state.name: state.shape for state in line.states_in(OIL)}
+    sizes = [int(np.prod(shape)) for shape in names.values()]
 
+    def response(x, ends):
+        pieces = jnp.split(x, np.cumsum(sizes)[:-1])
+        state = {name: piece.reshape(shape) for (name, shape), piece in zip(names.items(), pieces, strict=True)}
+        done = line.evaluate(Situation(OIL, {"node": ends[0], "to": ends[1]}, state, {}))
+        stored = [done.capacity.get(port, 0.0) for port in ("node", "to")]
+        flow = jnp.stack([-done.flow["node"], done.flow["to"]]) / 850.0
+        return jnp.concatenate([done.rate[name].reshape(-1) for name in names]), flow, jnp.stack(stored) / 850.0
 
-@pytest.mark.parametrize("dissipation", HAMMER)
-def test_water_hammer_of_the_exact_line(dissipation):
-    """Instantaneous closure of a valve at the end of a line with laminar flow, to the printed digits."""
-    for order in (11, 14):
-        ours = TIME["instantaneous_closure"](HAMMER_TIMES, dissipation, order)
-        np.testing.assert_allclose(ours, HAMMER[dissipation], atol=6e-7)
-
-
-@pytest.mark.parametrize("closure_time", [0.5, 5.0])
-def test_water_hammer_of_a_smooth_closure(closure_time):
-    """Raised cosine, against a Fourier series of the whole transform, which has no need of the fronts."""
-    times, dissipation, period = np.array([0.1, 0.5, 1.0, 2.05, 2.2, 2.6, 4.4, 7.0, 15.0]), 6.702481e-3, 40.0
-    k = np.arange(20001)
-    s, w = (12.0 + 1j * np.pi * k) / period, np.pi / closure_time
-    xi = np.sqrt(bessel_ratio(np.sqrt(s / dissipation)))
-    values = xi * np.tanh(s * xi) * w * w * (1.0 + np.exp(-s * closure_time)) / (2.0 * s * (s * s + w * w))
-    values[0] *= 0.5
-    series = [np.sum((values * np.exp(s * time)).real) / period for time in times]
-    ours = TIME["raised_cosine_closure"](times, dissipation, closure_time)
-    np.testing.assert_allclose(ours, series, atol=1e-6)
-
-
-def test_water_hammer_without_friction():
-    """Slow closure of a nearly lossless line: sum of the passages of the closure itself."""
-    times, closure_time = np.linspace(0.05, 9.0, 20), 1.3
-
-    def stopped(t):
-        return np.where(t < 0, 0.0, 0.5 * (1.0 - np.cos(np.pi * np.clip(t / closure_time, 0.0, 1.0))))
-
-    passages = sum((-1.0) ** k * (2.0 if k else 1.0) * stopped(times - 2.0 * k) for k in range(6))
-    ours = TIME["raised_cosine_closure"](times, 1e-11, closure_time)
-    np.testing.assert_allclose(ours, passages, atol=1e-4)
+    with jax.enable_x64(True):
+        rest = jnp.concatenate([jnp.full(n, 5e6 * (name == "pressure")) for n, name in zip(sizes, names, strict=True)])
+        ends = jnp.full(2, 5e6)
+        slopes = jax.jit(jax.jacfwd(lambda x, p: response(x, p)[:2], (0, 1)))(rest, ends)
+        capacities = np.asarray(response(rest, ends)[2])
+    (rate_x, rate_p), (flow_x, _) = jax.tree.map(np.asarray, slopes)
+    for f in (0.3, 11.0, 60.0):
+        s = 2j * np.pi * f
+        states = np.linalg.solve(s * np.eye(rest.size) - rate_x, rate_p)
+        flows = flow_x @ states + s * np.diag(capacities * [1.0, -1.0])  # into the line at 1, out of it at 2
+        matrix = line_matrix(LINE, OIL, 5e6, f, segments=4, model=model, friction=weights)
+        pressure, flow = matrix @ np.stack([np.array([0.0, 1.0]), flows[1]])
+        np.testing.assert_allclose(pressure, [1.0, 0.0], atol=1e-10)
+        np.testing.assert_allclose(flow, flows[0], rtol=1e-9)
 
 
 def test_traced_in_float32_is_refused():

@@ -92,6 +92,8 @@ def bessel_ratio(z):
 def _friction_impedance(w, friction: Friction):
     """Series impedance in units of rho nu/R_i^2 as a function of w = s R_i^2/nu."""
     if isinstance(friction, AbstractWeighting):
+        if not friction.laminar:
+            raise ValueError(f"{type(friction).__name__} is for turbulent mean flow, the matrices for laminar")
         return w + 8.0 + 4.0 * w * friction.transform(w)
     laws = {"none": lambda w: w, "steady": lambda w: w + 8.0, "distributed": womersley_impedance}
     if friction not in laws:

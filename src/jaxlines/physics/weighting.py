@@ -11,6 +11,7 @@ Reference: Zielke, "Frequency-dependent friction in transient pipe flow", J. Bas
 """
 
 from abc import abstractmethod
+from typing import ClassVar
 
 import equinox as eqx
 import numpy as np
@@ -45,6 +46,8 @@ def zielke_weight(tau):
 
 class AbstractWeighting(eqx.Module):
     """A weighting function W(tau) = sum_i m_i exp(-n_i tau), by its coefficients."""
+
+    laminar: ClassVar[bool] = True  # whether it belongs to laminar mean flow
 
     def __check_init__(self):
         check_fields(self)
@@ -171,6 +174,8 @@ class VitkovskyTurbulentWeights(AbstractWeighting):
 
     reynolds_number: Number = quantity("1", low=2e3, high=1e8, slip="is the flow laminar?")
     terms: int = eqx.field(static=True, default=10)
+
+    laminar = False
 
     def __check_init__(self):
         _check_terms(self.terms, 1, 10)

@@ -60,15 +60,13 @@ def line_matrix(
     """The matrix M of a pipe or hose, [p1; Q1] = M [p2; Q2], shape (frequencies, 2, 2).
 
     Args:
-        conduit: `Pipe`, `Hose` or `ViscoelasticHose`; fluid: what fills it.
+        conduit: `Pipe`, `Hose` or `ViscoelasticHose`; fluid: what fills it; frequencies: [Hz], any shape.
         pressure: mean absolute pressure [Pa], at which density, viscosity and moduli are taken.
-        frequencies: [Hz], any shape.
         friction: "distributed" (exact laminar; the default of the exact line), "steady" (the default of a
             ladder), "none", or a weighting function such as `KagawaWeights()`.
         segments: None for the exact distributed line, or the number of segments of a ladder.
         model: of the segments, see `jaxlines.physics.distributed.ladder_matrix`.
-    Raises: TypeError for a container without a length; ValueError for wrong numbers or words; RuntimeError in
-        traced code while JAX is set to float32.
+    Raises: TypeError for a container without a length; RuntimeError in traced code while JAX is set to float32.
     Validity: small oscillations about rest or laminar mean flow; inertia and friction by the bore at
         atmospheric pressure, capacity by the volume at the mean pressure.
     """
