@@ -87,10 +87,9 @@ class Accumulator(AbstractComponent):
         return fluid.density_at(p) * self.compliance(p) + self.oil_volume(p) * _density_slope(fluid, p)
 
 
-_SMALLEST_GAS = 1e-3
-_COLDEST_GAS = 30.0
-# Share of the volume and temperature [K] below which the gas is evaluated as there. Only a rejected trial step of the
-# solver can get that far; the floors keep it finite so that it can be rejected.
+_DENSEST_GAS = 1000.0
+# Density [kg/m^3] beyond which the gas is evaluated as there. Only a rejected trial step of the solver can get that
+# far; the limit keeps it finite so that it can be rejected.
 
 
 class NitrogenAccumulator(AbstractComponent):
@@ -105,9 +104,9 @@ class NitrogenAccumulator(AbstractComponent):
         conductance G of the inlet [m^3/(s Pa)]; thermal_time_constant tau of the gas [s] (infinite: adiabatic);
         wall_temperature T_w [K]; fade: share of V_0 and of p_pre over which the outflow fades out [-]; gas.
     Starts at the wall's temperature, in equilibrium with the node's pressure; empty below the precharge.
-    Validity: uniform gas, wall of constant temperature, one time constant (in truth it depends on the state); no
-        inertia of the oil, no friction of a piston. Oil volume stays >= 0. It adds no capacity to its node, which
-        needs a `Line`.
+    Validity: uniform gas of one time constant (in truth it depends on the state), wall of constant temperature; no
+        inertia of the oil, no friction of a piston. Nitrogen below 140 K is evaluated as at 140 K. Oil volume stays
+        >= 0. Adds no capacity to its node, which needs a `Line`; stiff beside a small one (`jaxlines.implicit()`).
     Typical values: tau 1..30 s for bladders, tens of seconds for pistons, G 1e-8 (tau unverified: quoted from memory).
     Reference: Pourmovahed and Otis, "An experimental thermal time-constant correlation for hydraulic accumulators",
         ASME J. Dyn. Syst. Meas. Control 112, 1990 (equation derived from the energy balance; paper not seen).
@@ -164,8 +163,7 @@ class NitrogenAccumulator(AbstractComponent):
     def _gas_state(self, gas_volume, gas_temperature, gas_mass):
         """Density [kg/m^3] and temperature [K] of the gas."""
         xp = array_module(self, gas_volume, gas_temperature)
-        volume = xp.maximum(gas_volume, _SMALLEST_GAS * self.volume)
-        return gas_mass / volume, xp.maximum(gas_temperature, _COLDEST_GAS)
+        return gas_mass / xp.maximum(gas_volume, gas_mass / _DENSEST_GAS), xp.maximum(gas_temperature, self.gas.coldest)
 
     def _inlet_flow(self, drop, oil):
         """Volume flow in [m^3/s]: G dp, of which the outflow fades out with the last oil."""

@@ -1,6 +1,7 @@
 """The gas of an accumulator: real nitrogen by Benedict, Webb and Rubin, or an ideal gas."""
 
 from abc import abstractmethod
+from typing import ClassVar
 
 import equinox as eqx
 
@@ -78,7 +79,12 @@ def nitrogen_heat_capacity(density, temperature):
 
 
 class AbstractGas(eqx.Module):
-    """The gas of an accumulator: pressure and heat capacity as functions of density and temperature."""
+    """The gas of an accumulator: pressure and heat capacity as functions of density and temperature.
+
+    A gas colder than `coldest` [K] is evaluated as at that temperature.
+    """
+
+    coldest: ClassVar[float] = 1.0
 
     def __check_init__(self):
         check_fields(self)
@@ -106,6 +112,8 @@ class AbstractGas(eqx.Module):
 
 class Nitrogen(AbstractGas):
     """Real nitrogen by the Benedict-Webb-Rubin equation; see `nitrogen_pressure`, `nitrogen_heat_capacity`."""
+
+    coldest = 140.0  # below the critical temperature, 126 K, pressure would not rise with density
 
     def pressure(self, density, temperature):
         return nitrogen_pressure(density, temperature)
