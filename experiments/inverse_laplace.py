@@ -36,11 +36,16 @@ def invert(transform, times, order=12):
     return 10.0 ** (order / 3.0) / times * np.sum((-1.0) ** k * weights * values, axis=-1)
 
 
-def passage(times, dissipation_number, k, order=12):
-    """Response to a step behind the front of passage k, at times > 0 since that front."""
+def exact_friction(w):
+    """xi^2 of laminar flow as a function of w = s R^2/nu."""
+    return bessel_ratio(np.sqrt(w))
+
+
+def passage(times, dissipation_number, k, order=12, friction=exact_friction):
+    """Response to a step behind the front of passage k, at times > 0 since that front; friction gives xi^2(w)."""
 
     def transform(s):
-        ratio = np.sqrt(bessel_ratio(np.sqrt(s / dissipation_number)))
+        ratio = np.sqrt(friction(s / dissipation_number))
         return (-1.0) ** k * (2.0 if k else 1.0) * ratio * np.exp(-2.0 * k * s * (ratio - 1.0)) / s
 
     return invert(transform, times, order)
@@ -56,20 +61,38 @@ def instantaneous_closure(times, dissipation_number, order=12):
     return total
 
 
-def raised_cosine_closure(times, dissipation_number, closure_time, order=12, points=80):
-    """Pressure at the valve while V(t) = V0 (1 + cos(pi t/T_c))/2 until T_c, and after; times, T_c [L/c].
+def raised_cosine(share):
+    """Rate of V(t) = V0 (1 + cos(pi x))/2 over the closure, x = t/T_c from 0 to 1; its slope jumps at both ends."""
+    return 0.5 * np.pi * np.sin(np.pi * share)
 
-    The response to a step is folded with -dV/dt = V0 pi/(2 T_c) sin(pi t/T_c) by Gauss' rule with `points`, in
-    the square root of the time since each front, in which the response is smooth.
+
+def smooth_step(share):
+    """Rate of V(t) = V0 (1 - x^3 (10 - 15 x + 6 x^2)); value and slope vanish at both ends."""
+    return 30.0 * share**2 * (1.0 - share) ** 2
+
+
+def gradual_closure(times, dissipation_number, closure_time, rate, order=12, points=80, friction=exact_friction):
+    """Pressure at the valve while it closes over T_c, and after; times, T_c [L/c]; rate(x) = -dV/dx/V0, x = t/T_c.
+
+    The response to a step is folded with the rate by Gauss' rule with `points`, in the square root of the time since
+    each front, in which the response is smooth. With a weighting function in place of the exact friction,
+    xi^2 = 1 + 8/w + 4 W(w), W its transform in w = s R^2/nu.
     """
     x, weight = np.polynomial.legendre.leggauss(points)
     total = np.zeros(np.shape(times))
     for i, time in np.ndenumerate(np.asarray(times, dtype=float)):
         for k in range(int(time // 2) + 1):
             since = time - 2.0 * k
+            if since <= 0.0:
+                continue
             low, high = np.sqrt(max(since - closure_time, 0.0)), np.sqrt(since)
             root = 0.5 * (low + high) + 0.5 * (high - low) * x
-            acceleration = 0.5 * np.pi / closure_time * np.sin(np.pi * (since - root * root) / closure_time)
-            step = passage(root * root, dissipation_number, k, order) if since > 0.0 else 0.0
+            acceleration = rate((since - root * root) / closure_time) / closure_time
+            step = passage(root * root, dissipation_number, k, order, friction)
             total[i] += np.sum(0.5 * (high - low) * weight * 2.0 * root * acceleration * step)
     return total
+
+
+def raised_cosine_closure(times, dissipation_number, closure_time, order=12, points=80):
+    """Pressure at the valve while V(t) = V0 (1 + cos(pi t/T_c))/2 until T_c, and after; see `gradual_closure`."""
+    return gradual_closure(times, dissipation_number, closure_time, raised_cosine, order, points)

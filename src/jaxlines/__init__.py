@@ -16,7 +16,19 @@ if TYPE_CHECKING:  # the public names; each is imported when it is first used (s
     from jaxlines.inference.fit import fit as fit
     from jaxlines.inference.parameters import Free as Free, Known as Known
     from jaxlines.inference.recording import Recording as Recording
-    from jaxlines.physics.containers import Pipe as Pipe, Vessel as Vessel
+    from jaxlines.physics.accumulators import Accumulator as Accumulator, NitrogenAccumulator as NitrogenAccumulator
+    from jaxlines.physics.air import (
+        DissolvingAir as DissolvingAir,
+        FreeAir as FreeAir,
+        KineticAir as KineticAir,
+        LegacySimscapeAir as LegacySimscapeAir,
+    )
+    from jaxlines.physics.containers import (
+        Hose as Hose,
+        Pipe as Pipe,
+        Vessel as Vessel,
+        ViscoelasticHose as ViscoelasticHose,
+    )
     from jaxlines.physics.fluids import Oil as Oil
     from jaxlines.physics.friction import (
         ChurchillFriction as ChurchillFriction,
@@ -24,6 +36,7 @@ if TYPE_CHECKING:  # the public names; each is imported when it is first used (s
         LaminarFriction as LaminarFriction,
     )
     from jaxlines.physics.lines import FluidInertia as FluidInertia, Line as Line
+    from jaxlines.physics.liquids import DowsonHigginson as DowsonHigginson, Murnaghan as Murnaghan, Tait as Tait
     from jaxlines.physics.motors import (
         Brake as Brake,
         Inertia as Inertia,
@@ -31,11 +44,25 @@ if TYPE_CHECKING:  # the public names; each is imported when it is first used (s
         Motor as Motor,
         Supercharge as Supercharge,
     )
+    from jaxlines.physics.nitrogen import IdealGas as IdealGas, Nitrogen as Nitrogen
     from jaxlines.physics.resistances import LaminarLeak as LaminarLeak, Orifice as Orifice
     from jaxlines.physics.sensors import FlowSensor as FlowSensor, PressureSensor as PressureSensor
     from jaxlines.physics.servovalve import Servovalve as Servovalve
+    from jaxlines.physics.solubility import (
+        HenrySolubility as HenrySolubility,
+        LinearSolubility as LinearSolubility,
+        PolynomialSolubility as PolynomialSolubility,
+    )
     from jaxlines.physics.sources import FlowSource as FlowSource, PressureSource as PressureSource, Tank as Tank
-    from jaxlines.physics.weighting import TrikhaWeights as TrikhaWeights, VitkovskyWeights as VitkovskyWeights
+    from jaxlines.physics.viscosity import ConstantViscosity as ConstantViscosity, Vogel as Vogel, Walther as Walther
+    from jaxlines.physics.weighting import (
+        JohnstonWeights as JohnstonWeights,
+        KagawaWeights as KagawaWeights,
+        SchohlWeights as SchohlWeights,
+        TrikhaWeights as TrikhaWeights,
+        VitkovskyTurbulentWeights as VitkovskyTurbulentWeights,
+        VitkovskyWeights as VitkovskyWeights,
+    )
     from jaxlines.simulation.circuit import Circuit as Circuit
     from jaxlines.simulation.integration import implicit as implicit
     from jaxlines.simulation.segments import choose_segments as choose_segments

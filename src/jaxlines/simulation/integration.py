@@ -90,7 +90,7 @@ def _lowest_pressure(plan: Plan, y):
 
 def _status(result, outputs, lowest, fluid):
     """Status code of a trajectory; the first that applies."""
-    air_free = fluid.air_fraction <= 0.0
+    air_free = fluid.air_content() <= 0.0
     failed = jnp.where(result == diffrax.RESULTS.max_steps_reached, STATUS["max_steps"], STATUS["solver_failed"])
     code = jnp.where(air_free & (lowest < fluid.vapour_pressure), STATUS["tension"], STATUS["ok"])
     code = jnp.where(jnp.all(jnp.isfinite(outputs)), code, STATUS["non_finite"])

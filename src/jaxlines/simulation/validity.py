@@ -142,7 +142,8 @@ def _pipe_numbers(line: Line, fluid, flow, times) -> tuple[float, float, float] 
     if not pipes:
         return None, None, None
     largest, fastest = np.max(np.abs(flow)), np.max(np.abs(np.gradient(flow, times)))
-    reynolds = max(4.0 * largest / (np.pi * p.inner_diameter * fluid.kinematic_viscosity) for p in pipes)
+    viscosity = fluid.dynamic_viscosity() / fluid.liquid_density()
+    reynolds = max(4.0 * largest / (np.pi * p.inner_diameter * viscosity) for p in pipes)
     friction, inertia = line.laminar_resistance(fluid) * largest, line.inertance(fluid) * fastest
     return float(reynolds), float(friction), float(inertia)
 
