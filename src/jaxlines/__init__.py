@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # the public names; each is imported when it is first used (see __getattr__)
     from jaxlines.edge.building import StudyError as StudyError
+    from jaxlines.edge.plots import plot_line_response as plot_line_response
     from jaxlines.edge.reading import read_recording as read_recording
     from jaxlines.edge.study import Study as Study, load_study as load_study
     from jaxlines.edge.units import si as si
@@ -65,6 +66,7 @@ if TYPE_CHECKING:  # the public names; each is imported when it is first used (s
     )
     from jaxlines.simulation.circuit import Circuit as Circuit
     from jaxlines.simulation.integration import implicit as implicit
+    from jaxlines.simulation.line_response import line_response as line_response
     from jaxlines.simulation.segments import choose_segments as choose_segments
     from jaxlines.simulation.signals import Constant as Constant, Sampled as Sampled, Sine as Sine, Step as Step
     from jaxlines.simulation.simulate import simulate as simulate

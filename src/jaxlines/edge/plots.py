@@ -7,6 +7,7 @@ import numpy as np
 from jaxlines.edge.display import readable_unit
 from jaxlines.inference.analysis import ChannelFit
 from jaxlines.inference.curves import Curve
+from jaxlines.simulation.line_response import LineResponse
 
 MEASURED, SIMULATED, BAND = "#8b95a5", "#2f7fd1", "#2f7fd1"
 MAX_POINTS = 4000
@@ -101,3 +102,24 @@ def plot_wave_speed(curve: Curve, axes=None):
     """Wave speed of a line over pressure, with its 95 % band."""
     bands = curve.wave_speed, curve.wave_speed_low, curve.wave_speed_high
     return _plot_band(curve.pressure, *bands, "wave speed [m/s]", 1.0, _axes(axes))
+
+
+def plot_line_response(response: LineResponse, axes=None):
+    """Bode plot of a line's input impedance, as simulated and exact: magnitude and phase over frequency.
+
+    Args: response: of `line_response`; axes: two Axes, one above the other (new ones by default). Returns them.
+    """
+    if axes is None:
+        from matplotlib.figure import Figure
+
+        axes = Figure(figsize=(7.5, 5.0), layout="constrained").subplots(2, 1, sharex=True)
+    size, phase = axes
+    curves = {"exact": (response.exact, MEASURED, 3.0), "as simulated": (response.simulated, SIMULATED, 1.3)}
+    for label, (impedance, colour, width) in curves.items():
+        size.loglog(response.frequencies, np.abs(impedance), color=colour, lw=width, label=label)
+        phase.semilogx(response.frequencies, np.degrees(np.angle(impedance)), color=colour, lw=width)
+    size.set_title(f"{response.name}, {response.end} at the far end, {1e-6 * float(response.pressure):.3g} MPa")
+    size.set_ylabel("impedance [Pa s/m³]")
+    size.legend()
+    phase.set(xlabel="frequency [Hz]", ylabel="phase [°]", ylim=(-185, 185), yticks=range(-180, 181, 90))
+    return axes
