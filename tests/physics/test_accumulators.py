@@ -104,33 +104,26 @@ def test_mass_is_conserved_over_a_cycle(name):
     mass = oil_mass(sim, accumulator, AIRY, vessel)[::2]
     assert np.ptp(mass) > 0.1
     np.testing.assert_allclose(mass[1:] - mass[0], pumped, atol=1e-8 * np.ptp(mass))
-    if name == "accumulator":
-        ours = charged(accumulator, ARTICLE, times, {"a.pressure": 8e6}, vessel, jl.Sine(0.0, 5e-4, 1.0))
-        assert ours["a.pressure"][-1] == pytest.approx(8e6, rel=1e-7)
-        assert np.max(ours["a.pressure"]) > 1e7
 
 
 def test_emptied_and_refilled():
-    """Drained below its precharge it is empty, at no less than zero, and what leaves is what returns."""
+    """Drained below its precharge it is empty, at no less than zero; no oil is lost there and back."""
     accumulator, vessel = PARTS["nitrogen accumulator"], jl.Vessel(1e-3, 2e9)
-    initial, times = {"a.pressure": 8e6, "B.pressure": 1e6}, np.linspace(0, 3, 301)
-    low = jl.Line("B", jl.Vessel(2.0))
-    drained = charged(accumulator, AIRY, times, initial, vessel, drain=jl.Orifice("a", "B", 2e-5), low=low)
+    other = {"valve": jl.Orifice("a", "b", 2e-5), "other": jl.Line("b", jl.Vessel(2.0))}
 
-    def total(sim):
-        p = sim["B.pressure"]
-        return oil_mass(sim, accumulator, AIRY, vessel) + AIRY.density_at(p) * 2.0
+    def oil_after(initial):
+        sim = charged(accumulator, AIRY, np.linspace(0, 3, 301), initial, vessel, **other)
+        total = oil_mass(sim, accumulator, AIRY, vessel) + AIRY.density_at(sim["b.pressure"]) * 2.0
+        assert np.ptp(total) < 1e-7 * 850 * 4e-4
+        end = {name: sim[name][-1] for name in ("a.pressure", "accumulator.gas_volume", "accumulator.gas_temperature")}
+        return 2e-3 - sim["accumulator.gas_volume"], end
 
-    oil = 2e-3 - drained["accumulator.gas_volume"]
+    oil, end = oil_after({"a.pressure": 8e6, "b.pressure": 1e6})
     assert oil[0] > 4e-4 and np.all(oil > -1e-12) and oil[-1] < 1e-8
-    assert drained["a.pressure"][-1] < 0.9 * 6e6
-    assert np.ptp(total(drained)) < 1e-8 * 850 * oil[0]
-    kept = ("a.pressure", "accumulator.gas_volume", "accumulator.gas_temperature")
-    again = {name: drained[name][-1] for name in kept}
-    refilled = charged(accumulator, AIRY, times, again, vessel, jl.Step(2e-4, 0.0, 2.0))
-    gained = np.diff(oil_mass(refilled, accumulator, AIRY, vessel)[[0, -1]])
-    assert 2e-3 - refilled["accumulator.gas_volume"][-1] == pytest.approx(4e-4, rel=0.05)
-    assert gained == pytest.approx(4e-4 * 850, rel=0.02)
+    assert end["a.pressure"] < 0.9 * 6e6
+    oil, end = oil_after({**end, "b.pressure": 8e6})
+    assert oil[0] < 1e-8 and oil[-1] > 4e-4
+    assert end["a.pressure"] == pytest.approx(8e6, rel=5e-2)
 
 
 @pytest.mark.parametrize("ratio", [1.3, 1.4])
@@ -202,14 +195,10 @@ def test_starts_in_equilibrium():
     assert float(slope) == pytest.approx(float(seen(2e7 + 1e3)[0] - seen(2e7 - 1e3)[0]) / 2e3, rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("name", "oil"),
-    [("accumulator", "with air"), ("nitrogen accumulator", "with air"), ("adiabatic ideal gas", "article")],
-)
-def test_jacobian_at_the_points_of_all_components(name, oil, monkeypatch):
-    monkeypatch.setitem(components.PARTS, name, PARTS[name])
-    components.test_jacobian_in_all_numbers_and_potentials(name, oil)
-    components.test_vmap_equals_loop(name)
+def test_jacobian_of_an_accumulator_with_ideal_gas(monkeypatch):
+    """At the points of all components, among which the other accumulators are."""
+    monkeypatch.setitem(components.PARTS, "ideal gas", PARTS["adiabatic ideal gas"])
+    components.test_jacobian_in_all_numbers_and_potentials("ideal gas", "article")
 
 
 @pytest.mark.parametrize("name", ["nitrogen accumulator", "adiabatic ideal gas"])
