@@ -52,7 +52,8 @@ def thin_wall_modulus(inner_diameter, wall_thickness, youngs_modulus, poissons_r
 
     Args: inner_diameter D, wall_thickness e [m]; youngs_modulus E [Pa]; poissons_ratio nu [-]; restraint, see
         `RESTRAINTS`.
-    Validity: D/e above about 25 (unverified: quoted from memory); for schedule 160 pipes (D/e about 4) it is 34 to 53 % too stiff.
+    Validity: D/e above about 25 (unverified: quoted from memory); for schedule 160 pipes (D/e about 4) it is 34 to
+        53 % too stiff.
     Typical values: 8.9e9 Pa for a copper tube of 22.1 mm bore and 1.63 mm wall (E 1.2e11 Pa).
     Reference: Wylie and Streeter, "Fluid Transients in Systems", 1993, ch. 3.
     """
