@@ -59,7 +59,7 @@ def line_response(circuit: Circuit, name: str, frequencies, *, pressure, end="cl
     Validity: small oscillations about rest, laminar flow. The parts of a lumped line stand in series in their order;
     its impedance as simulated is that of its capacitance alone, whatever the end.
     """
-    line = circuit.components[name] if name in circuit.components else None
+    line = circuit.components.get(name)
     if line is None:
         raise KeyError(f"the circuit has no component {name!r}; it has {', '.join(circuit.components)}")
     if not isinstance(line, Line):
