@@ -53,7 +53,7 @@ class AbstractConduit(AbstractContainer):
 
     def inertance(self, fluid: Oil):
         """rho L/A [Pa s^2/m^3]."""
-        return fluid.density * self.length / area(self)
+        return fluid.liquid_density() * self.length / area(self)
 
 
 def area(conduit: AbstractConduit) -> Number:
