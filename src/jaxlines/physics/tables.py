@@ -12,17 +12,17 @@ from jaxlines.physics.component import AbstractComponent, Contribution, Situatio
 from jaxlines.physics.fields import Number, array_module, driven, is_concrete, port, quantity
 from jaxlines.physics.resistances import orifice_flow, passed
 
-ENDS = ("hold", "extend")
-
 
 def monotone_cubic(xs, ys, x, ends: str = "hold"):
     """Value at x of the monotone cubic interpolant through a table: once differentiable, no overshoot.
 
-    Slopes at inner samples are the harmonic mean of the neighbouring secants, zero at extremes.
+    Slopes at inner samples are the harmonic mean of the neighbouring secants, zero at extremes; at the ends that of
+    the last secant.
 
     Args: xs, strictly increasing, shape (samples, ...), two or more; ys: values of the same or a broadcastable
-        shape; x: where, shape (...); ends: "hold" (slope zero at the ends, held beyond them) or "extend" (slope of the
-        last secant at each end, a straight line beyond).
+        shape; x: where, shape (...); ends: "hold" (the last value beyond the ends, where the slope jumps) or "odd"
+        (xs and ys start at zero, the slope there is such that the odd continuation is twice differentiable; a
+        straight line beyond the last sample).
     Reference: Fritsch and Butland, "A method for constructing local monotone piecewise cubic interpolants",
         SIAM J. Sci. Stat. Comput. 5, 1984 (slopes of equally weighted neighbours).
     """
@@ -31,7 +31,9 @@ def monotone_cubic(xs, ys, x, ends: str = "hold"):
     xs, ys = _padded(xp, xs, dimensions), _padded(xp, ys, dimensions)
     x = _padded(xp, x, dimensions - 1)
     secants = (ys[1:] - ys[:-1]) / (xs[1:] - xs[:-1])
-    slopes = _monotone_slopes(xp, secants, ends)
+    slopes = _monotone_slopes(xp, secants)
+    if ends == "odd":
+        slopes = xp.concatenate([1.5 * secants[:1] - 0.5 * slopes[1:2], slopes[1:]])
     # Not clip: its derivative is halved exactly on a sample.
     inside = xp.where(x < xs[0], xs[0], xp.where(x > xs[-1], xs[-1], x))
     index = xp.sum(x >= xs[1:-1], axis=0)[None]
@@ -43,8 +45,8 @@ def monotone_cubic(xs, ys, x, ends: str = "hold"):
     share, rise = (inside - start) / width, at(secants, index) * width
     first, last = at(slopes, index) * width, at(slopes, index + 1) * width
     bend = share * (1.0 - share) * ((1.0 - share) * (first - rise) + share * (rise - last))
-    beyond = xp.where(x < xs[0], slopes[0], slopes[-1]) * (x - inside)
-    return low + share * rise + bend + beyond
+    value = low + share * rise + bend
+    return value if ends == "hold" else value + slopes[-1] * (x - inside)
 
 
 def _padded(xp, table, dimensions: int):
@@ -53,13 +55,12 @@ def _padded(xp, table, dimensions: int):
     return table.reshape(table.shape + (1,) * (dimensions - table.ndim))
 
 
-def _monotone_slopes(xp, secants, ends: str):
+def _monotone_slopes(xp, secants):
     """Slope at each sample from the secants between them."""
     before, after = secants[:-1], secants[1:]
     alike = xp.where(before > 0.0, after > 0.0, (before < 0.0) & (after < 0.0))
     inner = xp.where(alike, 2.0 * before * (after / xp.where(alike, before + after, 1.0)), 0.0)
-    outer = 1.0 if ends == "extend" else 0.0
-    return xp.concatenate([outer * secants[:1], inner, outer * secants[-1:]])
+    return xp.concatenate([secants[:1], inner, secants[-1:]])
 
 
 def check_increasing(name: str, numbers) -> None:
@@ -156,6 +157,6 @@ class TableValve(AbstractComponent):
         columns = xp.moveaxis(xp.asarray(self.flows), 1, 0)
         columns = xp.concatenate([xp.zeros_like(columns[:1]), columns])
         drops = xp.concatenate([xp.zeros_like(self.pressure_drops[:1]), self.pressure_drops])[:, None]
-        rows = monotone_cubic(drops, columns, size[None], ends="extend")
+        rows = monotone_cubic(drops, columns, size[None], ends="odd")
         flow = monotone_cubic(self.openings, rows, opening)
         return xp.where(drop < 0.0, -flow, flow)
