@@ -207,11 +207,12 @@ def check_validity(circuit: Circuit, times, pressures, flows, signals, highest_f
     edges |= {f"{node}.pressure": spectral_edge(times, pressures[node]) for node in sorted(nodes_to_check(circuit))}
     source = max(edges, key=edges.__getitem__, default="none")
     frequency = float(edges.get(source, 0.0) if highest_frequency is None else highest_frequency)
+    source = source if highest_frequency is None else "given"
     checked = tuple(
         _check_line(name, line, circuit.fluid, times, pressures[line.node], flows[name], frequency)
         for name, line in lines_to_check(circuit).items()
     )
     for name, line in wave_lines(circuit).items():
         ends = np.stack([np.asarray(pressures[node]) for node in (line.node, line.to)])
-        checked += (check_wave_line(name, line, circuit.fluid, ends, flows[name], frequency),)
-    return Validity(checked, frequency, source if highest_frequency is None else "given")
+        checked += (check_wave_line(name, line, circuit.fluid, ends, flows[name], frequency, source),)
+    return Validity(checked, frequency, source)

@@ -30,6 +30,7 @@ class WaveLineValidity(NamedTuple):
     wave_speed: float
     median_wave_speed: float
     highest_frequency: float
+    frequency_source: str
     segments_per_wavelength: float
     delay_error: float
     first_resonance: float
@@ -51,8 +52,9 @@ class WaveLineValidity(NamedTuple):
         count = f"{self.name}: {self.segments} segments"
         if self.highest_frequency > 0.0:
             count += (
-                f", {self.segments_per_wavelength:.3g} per wavelength at {self.highest_frequency:.3g} Hz and "
-                f"{self.wave_speed:.4g} m/s, so that its waves run {100 * self.delay_error:.2g} % slow"
+                f", {self.segments_per_wavelength:.3g} per wavelength at {self.highest_frequency:.3g} Hz "
+                f"({self.frequency_source}) and {self.wave_speed:.4g} m/s, so that its waves run "
+                f"{100 * self.delay_error:.2g} % slow"
             )
         count += f"; first resonance of the closed line {self.first_resonance:.3g} Hz"
         law = f"{self.friction} at a Reynolds number of up to {self.reynolds_number:.0f}"
@@ -67,10 +69,11 @@ def wave_lines(circuit: Circuit) -> dict[str, Line]:
     return {name: line for name, line in lines.items() if line.to is not None}
 
 
-def check_wave_line(name: str, line: Line, fluid, pressures, flows, frequency: float) -> WaveLineValidity:
+def check_wave_line(name: str, line: Line, fluid, pressures, flows, frequency: float, source: str) -> WaveLineValidity:
     """One segmented line against the pressures at its ends and the flows along it.
 
-    Args: pressures at both ends [Pa], shape (ends, times); flows [m^3/s], shape (columns, times); frequency [Hz].
+    Args: pressures at both ends [Pa], shape (ends, times); flows [m^3/s], shape (columns, times); frequency [Hz]
+    and what it was read from.
     """
     conduit, seen = line.ladder().conduit, np.asarray(pressures)[np.isfinite(pressures)]
     lowest, median, length = float(np.min(seen)), float(np.median(seen)), float(conduit.length)
@@ -85,6 +88,7 @@ def check_wave_line(name: str, line: Line, fluid, pressures, flows, frequency: f
         wave_speed=speed,
         median_wave_speed=float(line.wave_speed(fluid, median)),
         highest_frequency=frequency,
+        frequency_source=source,
         segments_per_wavelength=per_wavelength,
         delay_error=float(ladder_delay_error(per_wavelength)),
         first_resonance=float(quarter_wave_frequency(length, speed)),
