@@ -80,6 +80,17 @@ def check_conservation(part, oil=OILS["with air"]):
         assert point != "generic" or max(map(abs, masses)) > 1e-9
 
 
+def check_batch(part, oil=OILS["with air"]):
+    """All points at once, as arrays, give what each gives alone."""
+    alone = [seen(part, oil, point) for point in POINTS]
+    together = part.evaluate(jax.tree.map(lambda *x: jnp.stack([jnp.asarray(v) for v in x]), *alone))
+    for room, name in ((r, n) for r in ("flow", "rate") for n in getattr(together, r)):
+        single = [getattr(part.evaluate(at), room)[name] for at in alone]
+        np.testing.assert_allclose(
+            getattr(together, room)[name], single, rtol=1e-13, atol=1e-15 * np.max(np.abs(single))
+        )
+
+
 def through(part, p_a, p_b, oil=ARTICLE, state=None):
     """Volume flow from a to b [m^3/s] at two pressures, in a fluid of constant density."""
     given = {name: getattr(part, name) for name in ("area", "opening", "command") if hasattr(part, name)}
@@ -91,6 +102,7 @@ def through(part, p_a, p_b, oil=ARTICLE, state=None):
 def test_derivatives_and_conservation(name):
     check_derivatives(PARTS[name])
     check_conservation(PARTS[name])
+    check_batch(PARTS[name])
 
 
 def test_two_regimes_of_ellman_and_piche():

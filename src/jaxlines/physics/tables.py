@@ -16,24 +16,40 @@ from jaxlines.physics.resistances import orifice_flow, passed
 def monotone_cubic(xs, ys, x, ends: str = "hold"):
     """Value at x of the monotone cubic interpolant through a table: once differentiable, no overshoot.
 
-    Slopes at inner samples are the harmonic mean of the neighbouring secants, zero at extremes; at the ends that of
-    the last secant.
-
     Args: xs, strictly increasing, shape (samples, ...), two or more; ys: values of the same or a broadcastable
         shape; x: where, shape (...); ends: "hold" (the last value beyond the ends, where the slope jumps) or "odd"
         (xs and ys start at zero, the slope there is such that the odd continuation is twice differentiable; a
         straight line beyond the last sample).
+    Reference: see `monotone_slopes`.
+    """
+    return hermite(xs, ys, monotone_slopes(xs, ys, ends), x, ends)
+
+
+def monotone_slopes(xs, ys, ends: str = "hold"):
+    """Slope at each sample, shape (samples, ...): harmonic mean of the neighbouring secants, zero at extremes.
+
+    At the ends that of the last secant, or with "odd" at the first as `monotone_cubic` says.
+
     Reference: Fritsch and Butland, "A method for constructing local monotone piecewise cubic interpolants",
         SIAM J. Sci. Stat. Comput. 5, 1984 (slopes of equally weighted neighbours).
     """
-    xp = array_module(xs, ys, x)
-    dimensions = max(np.ndim(xs), np.ndim(ys), np.ndim(x) + 1)
-    xs, ys = _padded(xp, xs, dimensions), _padded(xp, ys, dimensions)
-    x = _padded(xp, x, dimensions - 1)
+    xp = array_module(xs, ys)
+    xs, ys = _padded(xp, xs, np.ndim(ys)), _padded(xp, ys, np.ndim(xs))
     secants = (ys[1:] - ys[:-1]) / (xs[1:] - xs[:-1])
-    slopes = _monotone_slopes(xp, secants)
-    if ends == "odd":
-        slopes = xp.concatenate([1.5 * secants[:1] - 0.5 * slopes[1:2], slopes[1:]])
+    before, after = secants[:-1], secants[1:]
+    alike = xp.where(before > 0.0, after > 0.0, (before < 0.0) & (after < 0.0))
+    inner = xp.where(alike, 2.0 * before * (after / xp.where(alike, before + after, 1.0)), 0.0)
+    inner = xp.concatenate([inner, secants[-1:]])
+    first = 1.5 * secants[:1] - 0.5 * inner[:1] if ends == "odd" else secants[:1]
+    return xp.concatenate([first, inner])
+
+
+def hermite(xs, ys, slopes, x, ends: str = "hold"):
+    """Value at x of the piecewise cubic with given values and slopes at its samples; arguments as `monotone_cubic`."""
+    xp = array_module(xs, ys, slopes, x)
+    dimensions = max(np.ndim(xs), np.ndim(ys), np.ndim(slopes), np.ndim(x) + 1)
+    xs, ys, slopes = (_padded(xp, table, dimensions) for table in (xs, ys, slopes))
+    x = _padded(xp, x, dimensions - 1)
     # Not clip: its derivative is halved exactly on a sample.
     inside = xp.where(x < xs[0], xs[0], xp.where(x > xs[-1], xs[-1], x))
     index = xp.sum(x >= xs[1:-1], axis=0)[None]
@@ -42,7 +58,7 @@ def monotone_cubic(xs, ys, x, ends: str = "hold"):
         return xp.take_along_axis(table, index, axis=0)[0]
 
     start, low, width = at(xs, index), at(ys, index), at(xs[1:] - xs[:-1], index)
-    share, rise = (inside - start) / width, at(secants, index) * width
+    share, rise = (inside - start) / width, at(ys, index + 1) - low
     first, last = at(slopes, index) * width, at(slopes, index + 1) * width
     bend = share * (1.0 - share) * ((1.0 - share) * (first - rise) + share * (rise - last))
     value = low + share * rise + bend
@@ -52,15 +68,7 @@ def monotone_cubic(xs, ys, x, ends: str = "hold"):
 def _padded(xp, table, dimensions: int):
     """An array with axes of length one added behind, so that its first axes line up."""
     table = xp.asarray(table)
-    return table.reshape(table.shape + (1,) * (dimensions - table.ndim))
-
-
-def _monotone_slopes(xp, secants):
-    """Slope at each sample from the secants between them."""
-    before, after = secants[:-1], secants[1:]
-    alike = xp.where(before > 0.0, after > 0.0, (before < 0.0) & (after < 0.0))
-    inner = xp.where(alike, 2.0 * before * (after / xp.where(alike, before + after, 1.0)), 0.0)
-    return xp.concatenate([secants[:1], inner, secants[-1:]])
+    return table.reshape(table.shape + (1,) * max(dimensions - table.ndim, 0))
 
 
 def check_increasing(name: str, numbers) -> None:
@@ -116,10 +124,10 @@ class TableValve(AbstractComponent):
         drop [m^3/s]; rated_density rho_N of the fluid that was measured with [kg/m^3].
     Raises: ValueError for a table with wrong shapes, an axis that does not increase, or flows that fall.
     Validity: odd in the pressure difference; nearly proportional to it below the first pressure drop, a straight line
-        above the last; beyond the openings the ends are held. Monotone in the opening where the table is; monotone in
-        the pressure difference at the openings of the table, between them where its rows are alike in shape.
+        above the last; beyond the openings the ends are held. At the openings of the table the flow never falls with the
+        pressure difference; between them too where its rows are alike in shape. The same holds of the opening.
     Typical values: 5..20 openings, pressure drops 0.1..20 MPa.
-    Reference: see `monotone_cubic`, applied along the pressure drops and then along the openings.
+    Reference: see `monotone_slopes`; along the pressure drops and along the openings.
     """
 
     a: str = port()
@@ -154,9 +162,15 @@ class TableValve(AbstractComponent):
         """Q(x, dp) of the table [m^3/s] at an opening [-] and a pressure difference [Pa], positive or negative."""
         xp = array_module(self, opening, drop)
         size = xp.where(drop < 0.0, -drop, drop)  # not abs: its derivative at zero is zero
-        columns = xp.moveaxis(xp.asarray(self.flows), 1, 0)
-        columns = xp.concatenate([xp.zeros_like(columns[:1]), columns])
-        drops = xp.concatenate([xp.zeros_like(self.pressure_drops[:1]), self.pressure_drops])[:, None]
-        rows = monotone_cubic(drops, columns, size[None], ends="odd")
-        flow = monotone_cubic(self.openings, rows, opening)
+        # Slopes along the openings come from the table, not from flows at this drop, which are all zero at rest.
+        slopes = monotone_slopes(self.openings, self.flows)
+        flows, slopes = (self._along_drops(table, size) for table in (self.flows, slopes))
+        flow = hermite(self.openings, flows, slopes, opening)
         return xp.where(drop < 0.0, -flow, flow)
+
+    def _along_drops(self, table, size):
+        """The rows of a table at a positive pressure difference, shape (openings, ...)."""
+        xp = array_module(self, table, size)
+        columns, drops = xp.moveaxis(xp.asarray(table), 1, 0), xp.asarray(self.pressure_drops)
+        columns, drops = (xp.concatenate([xp.zeros_like(t[:1]), t]) for t in (columns, drops))
+        return monotone_cubic(drops[:, None], columns, xp.asarray(size)[None], ends="odd")
