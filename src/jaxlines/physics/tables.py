@@ -124,7 +124,7 @@ class TableValve(AbstractComponent):
         drop [m^3/s]; rated_density rho_N of the fluid that was measured with [kg/m^3].
     Raises: ValueError for a table with wrong shapes, an axis that does not increase, or flows that fall.
     Validity: odd in the pressure difference; nearly proportional to it below the first pressure drop, a straight line
-        above the last; beyond the openings the ends are held. At the openings of the table the flow never falls with the
+        above the last; beyond the openings the ends are held. At the openings of the table flow never falls with the
         pressure difference; between them too where its rows are alike in shape. The same holds of the opening.
     Typical values: 5..20 openings, pressure drops 0.1..20 MPa.
     Reference: see `monotone_slopes`; along the pressure drops and along the openings.
