@@ -1,6 +1,7 @@
 """Orifice in two regimes, minor loss, annular gap, measured tables: published numbers, closed forms, general laws."""
 
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -290,6 +291,22 @@ def test_table_valve_in_a_circuit():
     np.testing.assert_allclose(sim["A.pressure"], 1e5 + 1.99e7 * np.exp(-10 * times), rtol=1e-8)
     closed = jl.simulate(circuit, times, {"opening": 0.0}, initial=start, tolerance=1e-10)
     np.testing.assert_allclose(closed["A.pressure"], 2e7, rtol=1e-12)
+
+
+def test_tables_of_several_valves_stay_apart():
+    """Valves of one kind are evaluated together; each empties its own volume at its own rate."""
+    drops, rates = np.array([1e6, 3e6, 8e6, 30e6]), {"A": 1e-11, "B": 3e-11, "C": 2e-12}
+    parts: dict[str, Any] = {"tank": jl.Tank("T", 1e5)}
+    for node, conductance in rates.items():
+        flows = np.array([[0.0], [2 * conductance]]) * drops
+        parts["valve " + node] = TableValve(node, "T", 0.5, [0.0, 1.0], drops, flows)
+        parts["line " + node] = jl.Line(node, jl.Vessel(1.379e-3))
+    times = np.linspace(0.0, 0.2, 3)
+    start = {f"{node}.pressure": 2e7 for node in rates}
+    sim = jl.simulate(jl.Circuit(ARTICLE, parts), times, initial=start, tolerance=1e-10)
+    for node, conductance in rates.items():
+        decay = np.exp(-conductance * 1e12 * times)
+        np.testing.assert_allclose(sim[f"{node}.pressure"], 1e5 + 1.99e7 * decay, rtol=1e-7)
 
 
 @pytest.mark.parametrize(

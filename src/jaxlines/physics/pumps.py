@@ -1,44 +1,17 @@
 """Positive-displacement pumps: fixed with losses and flow ripple, and pressure-compensated."""
 
+from typing import Any
+
 import equinox as eqx
 import numpy as np
 
 from jaxlines.physics.component import AbstractComponent, Contribution, Situation, State
 from jaxlines.physics.fields import Number, array_module, driven, port, quantity
 from jaxlines.physics.fluids import Oil
+from jaxlines.physics.machine_losses import AbstractLosses, WilsonLosses
 from jaxlines.physics.pressure_valves import check_order, pressure_opening
 
 ANGLE, DISPLACEMENT = State("angle", "rad", 1.0), State("swash", "1", 1.0)
-
-
-def slip_coefficient(volumetric_efficiency, pressure, speed, viscosity):
-    """Wilson's slip coefficient from one rated point: C_s = (1 - eta_v) mu w/p [-].
-
-    Args: volumetric_efficiency eta_v [-] at pressure p [Pa], speed w [rad/s], dynamic viscosity mu [Pa s].
-    Typical values: 1e-8..1e-7.
-    Reference: Wilson, "Positive-Displacement Pumps and Fluid Motors", 1950; as in McCloy and Martin, "Control of
-        Fluid Power", 1980 (both unverified: quoted from memory; the form is that of public simulation code).
-    """
-    return (1.0 - volumetric_efficiency) * viscosity * speed / pressure
-
-
-def slip_flow(coefficient, displacement, fluid: Oil, p_inlet, p_outlet):
-    """Leakage flow from outlet to inlet C_s D (p_outlet - p_inlet)/mu [m^3/s], at the viscosity of the mean pressure.
-
-    Args: coefficient C_s [-]; displacement D [m^3/rad]; fluid; p_inlet, p_outlet [Pa].
-    Reference: see `slip_coefficient`.
-    """
-    viscosity = fluid.dynamic_viscosity(0.5 * (p_inlet + p_outlet))
-    return coefficient * displacement * (p_outlet - p_inlet) / viscosity
-
-
-def viscous_coefficient(mechanical_efficiency, pressure, speed, viscosity):
-    """Wilson's coefficient of viscous torque from one rated point: C_D = (1/eta_m - 1) p/(mu w) [-].
-
-    Args: mechanical_efficiency eta_m [-]; others and reference as `slip_coefficient`.
-    Typical values: 1e5..1e6.
-    """
-    return (1.0 / mechanical_efficiency - 1.0) * pressure / (viscosity * speed)
 
 
 def kinematic_ripple(pistons: int, harmonics: int) -> np.ndarray:
@@ -59,43 +32,44 @@ def _speed():
     return driven("rad/s", low=0.0, high=3e3, slip="was it given in rpm?")
 
 
-def _efficiency():
-    return quantity("1", low=0.01, high=1.0, slip="was it given in percent?", default=1.0)
-
-
 def _displacement():
     return quantity("m^3/rad", low=0.0, high=1.0, slip="was it given in cm^3/rev?")
 
 
-def _rated(unit: str, low: float, high: float, slip: str, default: float):
-    return quantity(unit, low=low, high=high, slip=slip, default=default)
+def loss_flow(pump: Any, fluid: Oil, p_inlet, p_outlet) -> Number:
+    """Volume flow that slips from outlet to inlet of a pump [m^3/s] at two pressures [Pa], by its `losses`."""
+    viscosity = fluid.dynamic_viscosity(0.5 * (p_inlet + p_outlet))
+    return pump.losses.slip(pump.displacement, p_outlet - p_inlet, viscosity)
+
+
+def _pumped(pump: Any, at: Situation, volume_flow) -> dict:
+    """Mass flows into inlet and outlet: the volume displaced, at the inlet's density, less the slip."""
+    p_inlet, p_outlet = at.potential["inlet"], at.potential["outlet"]
+    slip = at.fluid.mass_flow(loss_flow(pump, at.fluid, p_inlet, p_outlet), p_outlet, p_inlet)
+    mass = at.fluid.density_at(p_inlet) * volume_flow - slip
+    return {"inlet": -mass, "outlet": mass}
 
 
 class Pump(AbstractComponent):
-    """A pump of fixed displacement with losses after Wilson and, where given, flow ripple.
+    """A pump of fixed displacement, driven at a speed, with losses and, where given, flow ripple.
 
-    Q = D w (1 + sum_k a_k cos(k N theta)) - C_s D dp/mu,  theta' = w,  T = D dp + C_D mu D w
+    Q = D w (1 + sum_k a_k cos(k N theta)) - Q_s,  theta' = w,  T = D dp + T_f
 
-    Args: inlet, outlet: nodes; displacement D [m^3/rad]; speed w: number, signal or name of an input [rad/s];
-        volumetric_efficiency, mechanical_efficiency at rated_pressure [Pa], rated_speed [rad/s] and rated_viscosity
-        (dynamic) [Pa s], of which C_s and C_D follow; 1 means no loss; ripple_amplitudes a_k, shape (harmonics,),
-        relative to the mean flow [-], None: no ripple and no state; pistons N.
+    Args: inlet, outlet: nodes; displacement D [m^3/rad]; speed w: number, signal or name of an input [rad/s]; losses:
+        slip Q_s and friction T_f, such as `WilsonLosses.from_efficiencies(...)`, none by default; ripple_amplitudes
+        a_k, shape (harmonics,), relative to the mean flow [-], None: no ripple and no state; pistons N.
     Raises: ValueError unless pistons is a number above zero.
-    Validity: w >= 0, filled at the density of the inlet, slip laminar and straight from outlet to inlet, no
-        cavitation. The angle grows without end: in float32 the ripple loses its phase after some 1e5 rad.
+    Validity: w >= 0, filled at the density of the inlet, slip straight from outlet to inlet, no cavitation. The angle
+        grows without end: in float32 the ripple loses its phase after some 1e5 rad.
     Typical values: D 1e-6..1e-4 m^3/rad (6..600 cm^3/rev), efficiencies 0.9..0.97 at 10..20 MPa; N 7, 9, 11.
-    Reference: see `slip_coefficient`, `viscous_coefficient`, `kinematic_ripple`.
+    Reference: see `WilsonLosses` and `kinematic_ripple`.
     """
 
     inlet: str = port()
     outlet: str = port()
     displacement: Number = _displacement()
     speed: Number = _speed()
-    volumetric_efficiency: Number = _efficiency()
-    mechanical_efficiency: Number = _efficiency()
-    rated_pressure: Number = _rated("Pa", 1e4, 1e9, "was it given in bar?", 1e7)
-    rated_speed: Number = _rated("rad/s", 0.1, 3e3, "was it given in rpm?", 157.0)
-    rated_viscosity: Number = _rated("Pa*s", 1e-5, 10.0, "was it given in mPa s (cP)?", 0.027)
+    losses: AbstractLosses = WilsonLosses()
     ripple_amplitudes: Number | None = quantity("1", low=-1.0, high=1.0, slip="was it given in percent?", default=None)
     pistons: int = eqx.field(static=True, default=9)
 
@@ -115,45 +89,34 @@ class Pump(AbstractComponent):
             return 1.0 + 0.0 * angle
         return 1.0 + sum(a * xp.cos(k * self.pistons * angle) for k, a in enumerate(amplitudes, start=1))
 
-    def slip(self, fluid: Oil, p_inlet, p_outlet) -> Number:
-        """Leakage flow from outlet to inlet [m^3/s] at two pressures [Pa]."""
-        rated = (self.rated_pressure, self.rated_speed, self.rated_viscosity)
-        strength = slip_coefficient(self.volumetric_efficiency, *rated)
-        return slip_flow(strength, self.displacement, fluid, p_inlet, p_outlet)
-
     def torque(self, fluid: Oil, p_inlet, p_outlet, speed) -> Number:
         """Mean torque T of the shaft [N m] at two pressures [Pa] and a speed [rad/s]."""
-        rated = (self.rated_pressure, self.rated_speed, self.rated_viscosity)
-        viscosity = fluid.dynamic_viscosity(0.5 * (p_inlet + p_outlet))
-        drag = viscous_coefficient(self.mechanical_efficiency, *rated) * viscosity * speed
-        return self.displacement * (p_outlet - p_inlet + drag)
+        viscosity, rise = fluid.dynamic_viscosity(0.5 * (p_inlet + p_outlet)), p_outlet - p_inlet
+        return self.displacement * rise + self.losses.torque(self.displacement, rise, speed, viscosity)
 
     def evaluate(self, at: Situation) -> Contribution:
-        p_inlet, p_outlet, speed = at.potential["inlet"], at.potential["outlet"], at.given["speed"]
-        delivered = at.fluid.density_at(p_inlet) * self.displacement * speed
-        rate = {}
+        delivered, rate = self.displacement * at.given["speed"], {}
         if self.ripple_amplitudes is not None:
             angle = at.state["angle"]
-            delivered, rate = delivered * self.ripple(angle), {"angle": speed + 0.0 * angle}
-        mass = delivered - at.fluid.mass_flow(self.slip(at.fluid, p_inlet, p_outlet), p_outlet, p_inlet)
-        return Contribution(flow={"inlet": -mass, "outlet": mass}, rate=rate)
+            delivered, rate = delivered * self.ripple(angle), {"angle": at.given["speed"] + 0.0 * angle}
+        return Contribution(flow=_pumped(self, at, delivered), rate=rate)
 
 
 class PressureCompensatedPump(AbstractComponent):
     """A pump whose displacement falls from full at the cut-off pressure to zero at dead head.
 
     alpha_ss = 1 - clip((dp - p_cut)/(p_dead - p_cut)), tau alpha' = alpha_ss - alpha,
-    Q = alpha D w - C_s D dp/mu
+    Q = alpha D w - Q_s
 
     Args: inlet, outlet: nodes; displacement D, full [m^3/rad]; speed w: number, signal or name of an input [rad/s];
         cut_off_pressure p_cut, dead_head_pressure p_dead [Pa], rises p_outlet - p_inlet; time_constant tau of the
-        swash plate [s]; width of the rounded ends of the clip, see `soft_clip` [-]; volumetric_efficiency at
-        rated_pressure [Pa], rated_speed [rad/s] and rated_viscosity [Pa s] at full displacement, gives the slip C_s.
+        swash plate [s]; width of the rounded ends of the clip, see `soft_clip` [-]; losses: slip Q_s at full
+        displacement, such as `WilsonLosses.from_efficiencies(...)`, none by default.
     Raises: ValueError unless p_dead is above p_cut.
-    Validity: as `Pump`, without ripple; linear between cut-off and dead head; the slip is then what little flow the
-        pump must deliver at dead head less. Starts at the steady displacement of its pressures.
+    Validity: as `Pump`, without ripple; linear between cut-off and dead head; slip that does not fall with alpha, so
+        that at no flow the pressure settles below dead head. Starts at the steady displacement of its pressures.
     Typical values: p_dead - p_cut 0.3..1 MPa, tau 0.02..0.1 s (unverified: quoted from memory).
-    Reference: standard compensator with a proportional spring; slip as `slip_coefficient`.
+    Reference: standard compensator with a proportional spring; see `WilsonLosses`.
     """
 
     inlet: str = port()
@@ -164,10 +127,7 @@ class PressureCompensatedPump(AbstractComponent):
     dead_head_pressure: Number = quantity("Pa", low=0.0, high=1e9, slip="was it given in bar?")
     time_constant: Number = quantity("s", low=1e-6, high=1e3, slip="was it given in ms?", default=0.03)
     width: Number = quantity("1", low=1e-6, high=0.49, slip="was it given in percent or Pa?", default=0.1)
-    volumetric_efficiency: Number = _efficiency()
-    rated_pressure: Number = _rated("Pa", 1e4, 1e9, "was it given in bar?", 1e7)
-    rated_speed: Number = _rated("rad/s", 0.1, 3e3, "was it given in rpm?", 157.0)
-    rated_viscosity: Number = _rated("Pa*s", 1e-5, 10.0, "was it given in mPa s (cP)?", 0.027)
+    losses: AbstractLosses = WilsonLosses()
 
     states = (DISPLACEMENT,)
 
@@ -178,18 +138,10 @@ class PressureCompensatedPump(AbstractComponent):
         """alpha_ss, displacement as a share of the full one [-], at a rise of pressure [Pa]."""
         return 1.0 - pressure_opening(rise, self.cut_off_pressure, self.dead_head_pressure, self.width)
 
-    def slip(self, fluid: Oil, p_inlet, p_outlet) -> Number:
-        """Leakage flow from outlet to inlet [m^3/s] at two pressures [Pa]."""
-        rated = (self.rated_pressure, self.rated_speed, self.rated_viscosity)
-        strength = slip_coefficient(self.volumetric_efficiency, *rated)
-        return slip_flow(strength, self.displacement, fluid, p_inlet, p_outlet)
-
     def start(self, at: Situation) -> dict:
         return {"swash": self.steady_swash(at.potential["outlet"] - at.potential["inlet"])}
 
     def evaluate(self, at: Situation) -> Contribution:
-        p_inlet, p_outlet, swash = at.potential["inlet"], at.potential["outlet"], at.state["swash"]
-        delivered = at.fluid.density_at(p_inlet) * swash * self.displacement * at.given["speed"]
-        mass = delivered - at.fluid.mass_flow(self.slip(at.fluid, p_inlet, p_outlet), p_outlet, p_inlet)
-        rate = {"swash": (self.steady_swash(p_outlet - p_inlet) - swash) / self.time_constant}
-        return Contribution(flow={"inlet": -mass, "outlet": mass}, rate=rate)
+        swash, rise = at.state["swash"], at.potential["outlet"] - at.potential["inlet"]
+        flow = _pumped(self, at, swash * self.displacement * at.given["speed"])
+        return Contribution(flow=flow, rate={"swash": (self.steady_swash(rise) - swash) / self.time_constant})

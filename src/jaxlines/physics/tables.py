@@ -163,7 +163,7 @@ class TableValve(AbstractComponent):
         xp = array_module(self, opening, drop)
         size = xp.where(drop < 0.0, -drop, drop)  # not abs: its derivative at zero is zero
         # Slopes along the openings come from the table, not from flows at this drop, which are all zero at rest.
-        slopes = monotone_slopes(self.openings, self.flows)
+        slopes = monotone_slopes(xp.asarray(self.openings)[:, None], self.flows)
         flows, slopes = (self._along_drops(table, size) for table in (self.flows, slopes))
         flow = hermite(self.openings, flows, slopes, opening)
         return xp.where(drop < 0.0, -flow, flow)
