@@ -1,9 +1,8 @@
 """Cylinders and rotary actuators: two chambers of fluid on either side of a piston or a vane."""
 
 from abc import abstractmethod
-from typing import ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
-import equinox as eqx
 import numpy as np
 
 from jaxlines.physics.component import AbstractComponent, Contribution, Situation, State
@@ -42,18 +41,19 @@ class AbstractActuator(AbstractComponent):
     Mass m = rho(p) V is conserved exactly. The atmosphere acts on the outside of rod and piston.
     """
 
-    dead_volume_a: eqx.AbstractVar[Number]
-    dead_volume_b: eqx.AbstractVar[Number]
-    stroke: eqx.AbstractVar[Number]
-    leakage: eqx.AbstractVar[Number]
-    viscous_friction: eqx.AbstractVar[Number]
-    coulomb_friction: eqx.AbstractVar[Number]
-    stribeck_friction: eqx.AbstractVar[Number]
-    stribeck_speed: eqx.AbstractVar[Number]
-    friction_speed: eqx.AbstractVar[Number]
-    stop_stiffness: eqx.AbstractVar[Number]
-    stop_damping: eqx.AbstractVar[Number]
-    stop_width: eqx.AbstractVar[Number]
+    if TYPE_CHECKING:  # fields of every final class; a type checker would take an AbstractVar for its first argument
+        dead_volume_a: ClassVar[Any]
+        dead_volume_b: ClassVar[Any]
+        stroke: ClassVar[Any]
+        leakage: ClassVar[Any]
+        viscous_friction: ClassVar[Any]
+        coulomb_friction: ClassVar[Any]
+        stribeck_friction: ClassVar[Any]
+        stribeck_speed: ClassVar[Any]
+        friction_speed: ClassVar[Any]
+        stop_stiffness: ClassVar[Any]
+        stop_damping: ClassVar[Any]
+        stop_width: ClassVar[Any]
 
     moving: ClassVar[str]  # the port that moves
     travel: ClassVar[State]  # the state that says how far it has moved
@@ -89,7 +89,7 @@ class AbstractActuator(AbstractComponent):
     def evaluate(self, at: Situation) -> Contribution:
         fluid, p_a, p_b = at.fluid, at.potential["a"], at.potential["b"]
         position, velocity = at.state[self.travel.name], at.potential[self.moving]
-        area_a, area_b = self.areas()
+        (area_a, area_b), inertia = self.areas(), self.inertia()
         rates, flow, capacity = {self.travel.name: velocity}, {}, {}
         leak = fluid.mass_flow(self.leakage * (p_a - p_b), p_a, p_b)
         growth = {"a": area_a * velocity, "b": -area_b * velocity}
@@ -102,7 +102,6 @@ class AbstractActuator(AbstractComponent):
         outside = fluid.atmospheric_pressure
         force = area_a * (p_a - outside) - area_b * (p_b - outside)
         flow[self.moving] = force - self._resistance(position, velocity)
-        inertia = self.inertia()
         if inertia is not None:
             capacity[self.moving] = inertia + 0.0 * velocity
         return Contribution(flow, capacity, rates)
@@ -173,7 +172,7 @@ class SingleRodCylinder(AbstractActuator):
 
     Args: as `DoubleRodCylinder`, but area_a, area_b [m^2] instead of area; see `piston_area`.
     Raises: ValueError when area_b exceeds area_a.
-    Validity, typical values, reference: as `DoubleRodCylinder`; areas 4:3 to 2:1.
+    Typical values, and the rest: as `DoubleRodCylinder`; areas 4:3 to 2:1.
     """
 
     a: str = port()
@@ -220,10 +219,8 @@ class RotaryActuator(AbstractActuator):
         viscous_friction [N m s/rad]; coulomb_friction, stribeck_friction [N m]; stribeck_speed, friction_speed [rad/s];
         stop_stiffness [N m/rad], stop_damping [N m s/rad], stop_width [rad].
     Position is the state `angle` [rad], 0 at the start unless told otherwise.
-    Validity: as `DoubleRodCylinder`.
-    Typical values: D 1e-5..1e-3 m^3/rad, stroke 1.5..4.9 rad, leakage ten times a cylinder's (unverified: quoted from
-        memory).
-    Reference: as `DoubleRodCylinder`.
+    Validity, reference: as `DoubleRodCylinder`.
+    Typical values: D 1e-5..1e-3 m^3/rad, stroke 1.5..4.9 rad (unverified: quoted from memory).
     """
 
     a: str = port()

@@ -6,8 +6,6 @@ classes differ by domain only in units and names.
 
 from abc import abstractmethod
 
-import equinox as eqx
-
 from jaxlines.physics.component import AbstractComponent, Contribution, Situation, State
 from jaxlines.physics.fields import ROTATIONAL, TRANSLATIONAL, Number, array_module, driven, port, quantity
 
@@ -39,9 +37,6 @@ class AbstractLink(AbstractComponent):
 
     A link with a state keeps the relative displacement in it; it is zero at the start unless told otherwise.
     """
-
-    node: eqx.AbstractVar[str]
-    to: eqx.AbstractVar[str | None]
 
     @abstractmethod
     def resistance(self, displacement, velocity) -> Number:
@@ -75,17 +70,7 @@ class Force(AbstractComponent):
         return Contribution(flow={"node": at.given["force"] + 0.0 * at.potential["node"]})
 
 
-class AbstractSpring(AbstractLink):
-    """A linear spring: F_0 + k x."""
-
-    stiffness: eqx.AbstractVar[Number]
-    preload: eqx.AbstractVar[Number]
-
-    def resistance(self, displacement, velocity):
-        return self.preload + self.stiffness * displacement
-
-
-class Spring(AbstractSpring):
+class Spring(AbstractLink):
     """A linear spring between two nodes or to the ground: F = F_0 + k x, pulling `node` back when x > 0.
 
     Args: node, to: the ends (`to` None: the ground); stiffness k [N/m]; preload F_0 at extension 0 [N].
@@ -99,8 +84,11 @@ class Spring(AbstractSpring):
 
     states = (State("extension", "m", 1e-2),)
 
+    def resistance(self, displacement, velocity):
+        return self.preload + self.stiffness * displacement
 
-class RotarySpring(AbstractSpring):
+
+class RotarySpring(AbstractLink):
     """A torsion spring between two shafts or to the ground: T = T_0 + k x, turning `node` back when x > 0.
 
     Args: node, to: the shafts (`to` None: the ground); stiffness k [N m/rad]; preload T_0 at twist 0 [N m].
@@ -113,6 +101,9 @@ class RotarySpring(AbstractSpring):
     to: str | None = port(ROTATIONAL, optional=True)
 
     states = (State("twist", "rad", 1e-2),)
+
+    def resistance(self, displacement, velocity):
+        return self.preload + self.stiffness * displacement
 
 
 class Damper(AbstractLink):
@@ -137,21 +128,7 @@ class RotaryDamper(AbstractLink):
         return self.damping * velocity
 
 
-class AbstractDryFriction(AbstractLink):
-    """Coulomb, Stribeck and viscous friction, see `stribeck_friction`."""
-
-    coulomb_friction: eqx.AbstractVar[Number]
-    stribeck_friction: eqx.AbstractVar[Number]
-    viscous_friction: eqx.AbstractVar[Number]
-    stribeck_speed: eqx.AbstractVar[Number]
-    friction_speed: eqx.AbstractVar[Number]
-
-    def resistance(self, displacement, velocity):
-        dry = (self.coulomb_friction, self.stribeck_friction, self.viscous_friction)
-        return stribeck_friction(velocity, *dry, self.stribeck_speed, self.friction_speed)
-
-
-class SlidingFriction(AbstractDryFriction):
+class SlidingFriction(AbstractLink):
     """Friction of a guide or a seal: F = B v + (F_c + F_e exp(-(v/v_s)^2)) tanh(v/v_0).
 
     Args: node, to (None: the ground); coulomb_friction F_c, stribeck_friction F_e (excess at rest) [N];
@@ -167,8 +144,12 @@ class SlidingFriction(AbstractDryFriction):
     friction_speed: Number = quantity("m/s", low=1e-7, high=1e3, slip="was it given in mm/s?", default=1e-3)
     to: str | None = port(TRANSLATIONAL, optional=True)
 
+    def resistance(self, displacement, velocity):
+        dry = (self.coulomb_friction, self.stribeck_friction, self.viscous_friction)
+        return stribeck_friction(velocity, *dry, self.stribeck_speed, self.friction_speed)
 
-class RotaryFriction(AbstractDryFriction):
+
+class RotaryFriction(AbstractLink):
     """Friction of a bearing or a seal on a shaft: T = B w + (T_c + T_e exp(-(w/w_s)^2)) tanh(w/w_0).
 
     Args: node, to (None: the ground); coulomb_friction T_c, stribeck_friction T_e (excess at rest) [N m];
@@ -183,6 +164,10 @@ class RotaryFriction(AbstractDryFriction):
     stribeck_speed: Number = quantity("rad/s", low=1e-6, high=1e4, slip="was it given in rpm?", default=0.2)
     friction_speed: Number = quantity("rad/s", low=1e-7, high=1e3, slip="was it given in rpm?", default=0.01)
     to: str | None = port(ROTATIONAL, optional=True)
+
+    def resistance(self, displacement, velocity):
+        dry = (self.coulomb_friction, self.stribeck_friction, self.viscous_friction)
+        return stribeck_friction(velocity, *dry, self.stribeck_speed, self.friction_speed)
 
 
 class Position(AbstractLink):

@@ -1,5 +1,7 @@
 """Hydraulic motors and the shaft they drive: mean torque, torque with piston ripple, inertia, load torque, brake."""
 
+from typing import TYPE_CHECKING, Any, ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -13,13 +15,14 @@ from jaxlines.physics.mechanics import smooth_sign
 class AbstractMotor(AbstractComponent):
     """A displacement machine between the nodes a and b, with case drain: what those with and without ripple share."""
 
-    internal_leakage: eqx.AbstractVar[Number]
-    external_leakage: eqx.AbstractVar[Number]
-    viscous_friction: eqx.AbstractVar[Number]
-    pressure_friction: eqx.AbstractVar[Number]
-    coulomb_friction: eqx.AbstractVar[Number]
-    friction_speed: eqx.AbstractVar[Number]
-    losses: eqx.AbstractVar[AbstractLosses | None]
+    if TYPE_CHECKING:  # fields of every final class; a type checker would take an AbstractVar for its first argument
+        internal_leakage: ClassVar[Any]
+        external_leakage: ClassVar[Any]
+        viscous_friction: ClassVar[Any]
+        pressure_friction: ClassVar[Any]
+        coulomb_friction: ClassVar[Any]
+        friction_speed: ClassVar[Any]
+        losses: ClassVar[Any]
 
     def contribution(self, at: Situation, displacement, mean, rate: dict) -> Contribution:
         """Flows and torque of a machine that displaces so much now and on the mean [m^3/rad]; rates of its states."""
@@ -57,8 +60,8 @@ class Motor(AbstractMotor):
 
     Args: a, b: working ports; case: node of the case drain; shaft: rotational node; displacement D
         [m^3/rad]; internal_leakage C_i, external_leakage C_e [m^3/(s Pa)]; viscous_friction B [N m s/rad];
-        pressure_friction f [-]; coulomb_friction T_c [N m]; friction_speed w_0 [rad/s]; losses: `WilsonLosses`, with the
-        viscosity of the fluid, in addition to those above (set internal_leakage to 0 where they replace it).
+        pressure_friction f [-]; coulomb_friction T_c [N m]; friction_speed w_0 [rad/s]; losses: `WilsonLosses`,
+        with the viscosity of the fluid, in addition to those above (set internal_leakage to 0 where they replace it).
     Validity: mean torque and flow (no piston ripple; see `BentAxisMotor`).
     Typical values: D 1e-5..1e-4 m^3/rad, leakage 1e-12..1e-11 m^3/(s Pa), f 0.02..0.05.
     Reference: Merritt, "Hydraulic Control Systems", 1967, sec. 4-2 (standard form, quoted from memory).

@@ -1,6 +1,7 @@
 """Sensors: what an instrument reads from the circuit, with gain, offset, first-order lag and delay."""
 
 from abc import abstractmethod
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import equinox as eqx
 import numpy as np
@@ -40,10 +41,11 @@ class AbstractSensor(eqx.Module):
     it shows at time t what it would have shown at t - T without one (before T: what it showed at the start).
     """
 
-    gain: eqx.AbstractVar[Number]
-    offset: eqx.AbstractVar[Number]
-    lag: eqx.AbstractVar[Number]
-    delay: eqx.AbstractVar[Number]
+    if TYPE_CHECKING:  # fields of every final class; a type checker would take an AbstractVar for its first argument
+        gain: ClassVar[Any]
+        offset: ClassVar[Any]
+        lag: ClassVar[Any]
+        delay: ClassVar[Any]
 
     def __check_init__(self):
         check_fields(self)
@@ -134,10 +136,8 @@ class DifferentialPressureSensor(AbstractSensor):
 class LevelSensor(AbstractSensor):
     """Free surface above datum of an open tank, from the pressure at its foot: gain * z + offset [m].
 
-    z = (p - p_atm)/(rho g) + z_bottom, with the density rho at atmospheric pressure.
-
-    Args: node: at the foot of the tank; bottom: elevation z_bottom of the foot [m]; gain [-]; offset [m]; lag, delay
-        [s].
+    z = (p - p_atm)/(rho g) + bottom, with the density rho at atmospheric pressure.
+    Args: node: at the foot of the tank; bottom: elevation of the foot [m]; gain [-]; offset [m]; lag, delay [s].
     """
 
     node: str = eqx.field(static=True)
@@ -204,8 +204,8 @@ class VelocitySensor(AbstractSensor):
 class PositionSensor(AbstractSensor):
     """A position that is the state of a component: gain * x + offset.
 
-    Args: state: component and state, such as "cylinder.position" or "spring.extension"; gain [-]; offset [m]; lag,
-        delay [s]. A node without such a component gets one with a `Position`.
+    Args: state: such as "cylinder.position", of a node without such a component that of a `Position`; gain [-];
+        offset [m]; lag, delay [s].
     """
 
     state: str = eqx.field(static=True)
@@ -221,8 +221,8 @@ class PositionSensor(AbstractSensor):
 class AngleSensor(AbstractSensor):
     """An angle that is the state of a component: gain * angle + offset.
 
-    Args: state: component and state, such as "motor.angle" or "gear.twist"; gain [-]; offset [rad]; lag, delay [s]. A
-        shaft without such a component gets one with an `Angle`.
+    Args: state: such as "motor.angle", of a shaft without such a component that of an `Angle`; gain [-]; offset
+        [rad]; lag, delay [s].
     """
 
     state: str = eqx.field(static=True)

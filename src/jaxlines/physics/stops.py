@@ -1,6 +1,5 @@
 """Parts that touch or do not: end stops, backlash, gears with play; smooth, and without creating energy."""
 
-import equinox as eqx
 import numpy as np
 
 from jaxlines.physics.component import AbstractComponent, Contribution, Situation, State
@@ -59,6 +58,12 @@ def engagement(displacement, half_gap, width):
     return touching(displacement - half_gap) + touching(-displacement - half_gap)
 
 
+def play_force(displacement, velocity, gap, stiffness, damping, width):
+    """Force across a play, k z(x) + c z'(x) v in N or N m: z of `dead_zone` with half the gap [m or rad]."""
+    place = (displacement, 0.5 * gap, width)
+    return stiffness * dead_zone(*place) + damping * engagement(*place) * velocity
+
+
 _FAR = 1e6  # m or rad: a limit that nothing reaches. An infinite one would have no gradient.
 
 
@@ -73,23 +78,7 @@ def check_limits(lower, upper) -> None:
         raise ValueError(f"lower must be below upper, got {lower:g} and {upper:g}: were they swapped?")
 
 
-class AbstractEndStop(AbstractLink):
-    """Two stops that limit a displacement, see `contact_force`."""
-
-    lower: eqx.AbstractVar[Number]
-    upper: eqx.AbstractVar[Number]
-    stiffness: eqx.AbstractVar[Number]
-    damping: eqx.AbstractVar[Number]
-    width: eqx.AbstractVar[Number]
-
-    def __check_init__(self):
-        check_limits(self.lower, self.upper)
-
-    def resistance(self, displacement, velocity):
-        return stop_force(displacement, velocity, self.lower, self.upper, self.stiffness, self.damping, self.width)
-
-
-class EndStop(AbstractEndStop):
+class EndStop(AbstractLink):
     """Limits the position of a node, relative to another one or to the ground, between two stops.
 
     Args: node, to (None: the ground); lower, upper limit, out of reach where left out [m]; stiffness k [N/m]; damping c
@@ -109,8 +98,14 @@ class EndStop(AbstractEndStop):
 
     states = (State("position", "m", 1e-2),)
 
+    def __check_init__(self):
+        check_limits(self.lower, self.upper)
 
-class RotaryEndStop(AbstractEndStop):
+    def resistance(self, displacement, velocity):
+        return stop_force(displacement, velocity, self.lower, self.upper, self.stiffness, self.damping, self.width)
+
+
+class RotaryEndStop(AbstractLink):
     """Limits the angle of a shaft, relative to another one or to the ground, between two stops.
 
     Args: node, to (None: the ground); lower, upper limit, out of reach where left out [rad]; stiffness k [N m/rad];
@@ -130,21 +125,14 @@ class RotaryEndStop(AbstractEndStop):
 
     states = (State("angle", "rad", 1.0),)
 
-
-class AbstractBacklash(AbstractLink):
-    """A spring and damper behind a gap: k z(x) + c z'(x) v, z of `dead_zone`."""
-
-    gap: eqx.AbstractVar[Number]
-    stiffness: eqx.AbstractVar[Number]
-    damping: eqx.AbstractVar[Number]
-    width: eqx.AbstractVar[Number]
+    def __check_init__(self):
+        check_limits(self.lower, self.upper)
 
     def resistance(self, displacement, velocity):
-        place = (displacement, 0.5 * self.gap, self.width)
-        return self.stiffness * dead_zone(*place) + self.damping * engagement(*place) * velocity
+        return stop_force(displacement, velocity, self.lower, self.upper, self.stiffness, self.damping, self.width)
 
 
-class Backlash(AbstractBacklash):
+class Backlash(AbstractLink):
     """Play between two nodes, or a node and the ground: F = k z(x) + c z'(x) v, z = `dead_zone` of half the gap.
 
     Args: node, to (None: the ground); gap: the whole play [m]; stiffness k [N/m]; damping c [N s/m] in contact; width
@@ -162,8 +150,11 @@ class Backlash(AbstractBacklash):
 
     states = (State("displacement", "m", 1e-3),)
 
+    def resistance(self, displacement, velocity):
+        return play_force(displacement, velocity, self.gap, self.stiffness, self.damping, self.width)
 
-class RotaryBacklash(AbstractBacklash):
+
+class RotaryBacklash(AbstractLink):
     """Play between two shafts, or a shaft and the ground: T = k z(x) + c z'(x) w, z = `dead_zone` of half the gap.
 
     Args: node, to (None: the ground); gap: the whole play [rad]; stiffness k [N m/rad]; damping c [N m s/rad] in
@@ -180,6 +171,9 @@ class RotaryBacklash(AbstractBacklash):
     to: str | None = port(ROTATIONAL, optional=True)
 
     states = (State("twist", "rad", 1e-3),)
+
+    def resistance(self, displacement, velocity):
+        return play_force(displacement, velocity, self.gap, self.stiffness, self.damping, self.width)
 
 
 class Gear(AbstractComponent):
@@ -218,9 +212,8 @@ class Gear(AbstractComponent):
 
     def evaluate(self, at: Situation) -> Contribution:
         xp = array_module(self, at)
-        place = (at.state["twist"], 0.5 * self.backlash, self.width)
         sliding = at.potential["a"] / self.ratio - at.potential["b"]
-        torque = self.stiffness * dead_zone(*place) + self.damping * engagement(*place) * sliding
+        torque = play_force(at.state["twist"], sliding, self.backlash, self.stiffness, self.damping, self.width)
         ideal = torque / self.ratio
         loss = xp.exp(-xp.log(self.efficiency) * smooth_sign(ideal * at.potential["a"], self.loss_power))
         return Contribution(flow={"a": -ideal * loss, "b": torque}, rate={"twist": sliding})
