@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlines.simulation.plan import Plan, Values, ravel, scales, unravel
+from jaxlines.simulation.plan import Plan, Values, ravel, unravel
 from jaxlines.simulation.vector_field import contributions, rates
 
 _NEWTON_STEPS, _TRANSIENT_STEPS, _ATTEMPTS = 60, 400, 4
@@ -55,8 +55,8 @@ def unbalance(plan: Plan, values: Values, y):
 class Linear(NamedTuple):
     """The unbalance about a point, and what of it the balance does not determine.
 
-    flow: g; matrix: dg/dy; weights M; drifting: states on which nothing depends; left: orthonormal left null vectors of the
-    matrix with scaled rows, zero where it has none, shape (n, n); right: right null vectors; rows: row scales.
+    flow: g; matrix: dg/dy; weights: M; drifting: states on which nothing depends; left: orthonormal left null vectors
+    of the matrix with scaled rows, zero where it has none, shape (n, n); right: right null vectors; rows: row scales.
     """
 
     flow: Any
