@@ -15,10 +15,8 @@ from jaxlines.simulation.observation import observe, quantities, sensor_units, s
 from jaxlines.simulation.paths import resolve
 from jaxlines.simulation.plan import ravel, scales, unravel
 from jaxlines.simulation.precision import computing_in, is_traced
-from jaxlines.simulation.segments import choose_segments
 from jaxlines.simulation.signals import Constant
-from jaxlines.simulation.simulate import bind_inputs
-from jaxlines.simulation.steady import SteadyState, state_labels, steady_state
+from jaxlines.simulation.steady import SteadyState, at_instant, state_labels, steady_state
 from jaxlines.simulation.vector_field import rates, starting_point
 
 
@@ -137,15 +135,15 @@ def linearise(
         at = steady_state(circuit, inputs, time=time)
     initial = at.initial if isinstance(at, SteadyState) else at
     with computing_in("float64"):
-        bound = bind_inputs(circuit, inputs, np.asarray([time, time + 1.0]))
-        settled = at.circuit if isinstance(at, SteadyState) else choose_segments(circuit, [0.0, 1.0], bound)
-        plan, values = compile_circuit(settled, initial, bound)
+        settled, held = at_instant(circuit, inputs, time, initial)
+        if isinstance(at, SteadyState):
+            settled = at.circuit
+        plan, values = compile_circuit(settled, initial, held)
         names = tuple(circuit.external_inputs()) if input_names is None else tuple(input_names)
         names = tuple(resolve(name, circuit.external_inputs(), "input") for name in names)
         units = {name: q.unit for name, q in quantities(plan).items()} | sensor_units(circuit, plan)
         wanted = list(circuit.sensors()) or shown_by_default(plan) if outputs is None else outputs
         wanted = tuple(resolve(name, units, "output") for name in wanted)
-        values = eqx.tree_at(lambda v: v.signals, values, tuple(Constant(jnp.asarray(s(time))) for s in values.signals))
         rate, shown, slopes = jax.tree.map(np.asarray, _slopes(plan, wanted, names, values))
     (a, b), (c, d) = slopes
     size = scales(plan)

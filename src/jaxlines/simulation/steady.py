@@ -1,5 +1,6 @@
 """Steady state: the potentials and states at which a circuit rests or runs evenly for given inputs."""
 
+import dataclasses
 import functools
 import math
 from typing import Any
@@ -10,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlines.physics.component import DOMAINS
-from jaxlines.physics.fields import HYDRAULIC
+from jaxlines.physics.fields import HYDRAULIC, AbstractSignal, External, driven_of
 from jaxlines.simulation.assembly import compile_circuit
 from jaxlines.simulation.balance import Linear, balanced_state, imbalance
 from jaxlines.simulation.circuit import Circuit
@@ -21,14 +22,14 @@ from jaxlines.simulation.precision import cast, computing_in, is_traced
 from jaxlines.simulation.segments import choose_segments
 from jaxlines.simulation.signals import Constant
 from jaxlines.simulation.simulate import bind_inputs
-from jaxlines.simulation.vector_field import fixed_potentials, starting_point
+from jaxlines.simulation.vector_field import starting_point
 
 
 class SteadyState(eqx.Module):
     """Where a circuit is in balance.
 
     Fields: initial: name -> value in SI of every potential and state, fit for `simulate(..., initial=...)`; circuit
-    (with the segments of its lines settled) and inputs it holds for; residual: largest rate left, in typical sizes
+    and inputs it holds for (signals held, segments of lines chosen); residual: largest rate left, in typical sizes
     per second; free: names that the balance does not determine, so that the start did (a closed volume's pressure, a
     shaft's angle); drifting: those of them that run evenly, name -> rate in SI. Traced by JAX, `free` and `drifting`
     are unknown and empty, and the values are NaN where no balance was found.
@@ -82,11 +83,8 @@ def steady_state(
     """
     traced = is_traced(circuit, inputs, initial, time)
     with computing_in(precision, circuit, inputs, initial, time):
-        bound = bind_inputs(circuit, inputs, np.asarray([time, time]) if not traced else time)
-        circuit = choose_segments(circuit, np.asarray([0.0, 1.0]), bound, initial=initial)
-        held = {name: Constant(jnp.asarray(signal(time))) for name, signal in bound.items()}
+        circuit, held = at_instant(circuit, inputs, time, initial)
         plan, values = compile_circuit(circuit, initial, held)
-        values = eqx.tree_at(lambda v: v.signals, values, tuple(Constant(jnp.asarray(s(time))) for s in values.signals))
         values = cast(values, precision)
         told = tuple(f"{n}.{DOMAINS[d].potential}" in (initial or {}) for n, d in plan.free_nodes)
         y, linear = _solve(plan, told, values)
@@ -102,15 +100,28 @@ def steady_state(
         return SteadyState(named, circuit, jax.tree.map(np.asarray, held), left, free, drifting)
 
 
+def at_instant(circuit: Circuit, inputs: dict | None, time, initial: dict | None = None):
+    """A circuit and its inputs with every signal held at its value at a time [s], and segments of lines chosen."""
+    bound = bind_inputs(circuit, inputs, np.asarray([0.0, 1.0]))
+    parts = dict(circuit.components)
+    for name, part in circuit.parts().items():
+        own = {field: getattr(part, field) for field in driven_of(part)}
+        own = {f: v for f, v in own.items() if isinstance(v, AbstractSignal) and not isinstance(v, External)}
+        if own:
+            parts[name] = dataclasses.replace(part, **{f: Constant(jnp.asarray(v(time))) for f, v in own.items()})
+    held = {name: Constant(jnp.asarray(signal(time))) for name, signal in bound.items()}
+    settled = choose_segments(Circuit(circuit.fluid, parts), np.asarray([0.0, 1.0]), held, initial=initial)
+    return settled, held
+
+
 @functools.partial(jax.jit, static_argnums=(0, 1))
 def _solve(plan: Plan, told: tuple[bool, ...], values: Values):
     """The state in balance, from where the circuit starts, or from pressures between those of the sources."""
     first = starting_point(plan, values, 0.0)
     y, second = ravel(plan, *first), first
-    hydraulic = np.asarray([node.domain == HYDRAULIC for node in plan.fixed_nodes], dtype=bool)
-    if hydraulic.any():
-        signals = jnp.stack([s(0.0) for s in values.signals]) if values.signals else jnp.zeros(0)
-        middle = jnp.mean(fixed_potentials(plan, values, signals)[hydraulic])
+    fixed = tuple(f"{n.name}.{DOMAINS[n.domain].potential}" for n in plan.fixed_nodes if n.domain == HYDRAULIC)
+    if fixed:
+        middle = jnp.mean(observe(plan, values, fixed, 0.0, *first))
         kept = [given or domain != HYDRAULIC for given, (_, domain) in zip(told, plan.free_nodes, strict=True)]
         pressures = jnp.where(np.asarray(kept, dtype=bool), first[0], middle)
         second = starting_point(plan, eqx.tree_at(lambda v: v.initial.potentials, values, pressures), 0.0)
