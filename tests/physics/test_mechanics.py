@@ -170,6 +170,9 @@ def test_deep_in_contact_a_stop_is_a_spring_and_a_damper():
     for v in (-0.05, -0.01, 0.01, 0.1):
         force = float(contact_force(1e-3, v, 1e7, 1e4, 1e-6))
         assert force == pytest.approx(1e4 + 1e4 * v, abs=0.03 * 1e4 * abs(v) + 3.0)
+    # At x = w with c v/(2 k w) = 1/2, by hand: k w ln(1 + 53.59815 * 7.389056)/4; halfway in, s = 3 w/16.
+    assert float(contact_force(1e-3, 1.0, 1e6, 1e3, 1e-3)) == pytest.approx(1496.009, rel=1e-6)
+    assert float(contact_force(0.0, 0.0, 1e6, 1e3, 1e-3)) == pytest.approx(187.5, rel=1e-9)
     assert 0.0 <= float(contact_force(1e-4, -1.0, 1e7, 1e4, 1e-6)) < 1.0  # where spring and damper would pull
 
 
