@@ -7,27 +7,28 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlines.physics.component import DOMAINS, State
-from jaxlines.physics.fields import External, array_module
+from jaxlines.physics.fields import array_module
 from jaxlines.physics.fluids import Oil
 from jaxlines.simulation.circuit import Circuit
 from jaxlines.simulation.paths import leaf_paths
-from jaxlines.simulation.plan import Initial, Plan, Values, initial_names
+from jaxlines.simulation.plan import Incidence, Initial, Plan, Values, initial_names
+from jaxlines.simulation.reading import plan_controllers, with_sensors
 from jaxlines.simulation.vector_field import contributions, starting_point
 from jaxlines.simulation.wiring import Wiring, anonymous, group_kinds, plan_fixed, plan_kind
 
 
 def _stack(*leaves):
     """Leaves of the members of a kind, side by side along a last axis."""
-    xp = array_module(*leaves)
-    return xp.stack([xp.asarray(leaf) for leaf in leaves], axis=-1)
+    given = [i for i, leaf in enumerate(leaves) if isinstance(leaf, jax.Array)]
+    if len(given) == len(leaves):
+        return jnp.stack(leaves, axis=-1)
+    # Numbers of the host are stacked there: each of a thousand members would be an operation of the program.
+    host = np.stack([np.zeros(np.shape(x)) if isinstance(x, jax.Array) else np.asarray(x) for x in leaves], axis=-1)
+    return jnp.asarray(host).at[..., np.asarray(given)].set(_stack(*(leaves[i] for i in given))) if given else host
 
 
-def _incidence(kinds, contributions: list[dict], num_nodes: int):
-    """The (kind, port) pairs that contribute to free nodes, and for each node the positions of its terms.
-
-    Positions count through the members of all those ports one after another; the position after the last
-    stands for zero and pads the rows.
-    """
+def _incidence(kinds, contributions: list[dict], num_nodes: int) -> Incidence:
+    """Which members of which ports contribute to each free node."""
     ports, rows, count = [], [[] for _ in range(num_nodes)], 0
     for k, kind in enumerate(kinds):
         for port in kind.ports:
@@ -37,13 +38,32 @@ def _incidence(kinds, contributions: list[dict], num_nodes: int):
             for member, node in enumerate(port.index):
                 rows[node].append(count + member)
             count += len(port.index)
-    width = max((len(row) for row in rows), default=0)
-    return tuple(ports), tuple(tuple(row + [count] * (width - len(row))) for row in rows)
+    return Incidence(tuple(ports), *_tables(rows, count))
+
+
+def _tables(rows: list[list[int]], padding: int):
+    """Rows of similar length padded to tables, and where each row is among those of all tables.
+
+    A small table is the fastest; in large ones lengths differ by a factor of four at most.
+    """
+    lengths = [max(len(row), 1) for row in rows]
+    bounds = [max(lengths, default=1)]
+    if len(rows) * bounds[0] > 1000:
+        for length in sorted(set(lengths), reverse=True):
+            bounds += [length] if 4 * length < bounds[-1] else []
+    widths = [min(bound for bound in bounds if bound >= length) for length in lengths]
+    order = sorted(range(len(rows)), key=lambda node: -widths[node])
+    tables = [
+        tuple(tuple(rows[n] + [padding] * (bound - len(rows[n]))) for n in order if widths[n] == bound)
+        for bound in bounds
+    ]
+    return tuple(tables), tuple(int(place) for place in np.argsort(order))
 
 
 def _require_capacity(plan: Plan) -> None:
     """Raise for a node whose potential would change infinitely fast."""
-    has = {i for k, port in plan.capacity_ports for p in plan.kinds[k].ports if p.name == port for i in p.index}
+    ports = set(plan.capacity.ports)
+    has = {i for k, kind in enumerate(plan.kinds) for p in kind.ports if (k, p.name) in ports for i in p.index}
     for index, (node, domain) in enumerate(plan.free_nodes):
         if index not in has:
             remedy = {"hydraulic": "a Line (a Vessel is a plain volume), or a PressureSource"}.get(domain, "an Inertia")
@@ -58,29 +78,24 @@ def compile_circuit(circuit: Circuit, initial: dict | None = None, inputs: dict 
 
     Args: circuit; initial: name of a potential or state -> value in SI (others: atmospheric pressure, 0);
         inputs: name -> signal for the circuit's external inputs (all of them).
-    Raises: ValueError for a node without capacity; KeyError for an unknown initial value.
+    Raises: ValueError for a node without capacity, an algebraic loop of controllers or a controller that reads what
+        it cannot; KeyError for an unknown initial value.
     """
     wiring = Wiring(circuit)
     groups = group_kinds(circuit, wiring)
     kinds = [plan_kind(members, wiring, circuit.fluid) for members in groups]
-    fixed = plan_fixed(circuit, wiring, kinds)
     free = tuple((name, wiring.nodes[name]) for name in wiring.free_names)
     packed = tuple(jax.tree.map(_stack, *(anonymous(part) for part in members.values())) for members in groups)
-    signals = tuple((inputs or {})[s.name] if isinstance(s, External) else s for s in wiring.signals.values())
-    names = tuple(key if isinstance(key, str) else ".".join(key) for key in wiring.signals)
-    plan = Plan(tuple(kinds), free, fixed, names, (), (), (), ())
+    signals = tuple((inputs or {})[name] for name in wiring.input_names)
+    plan = Plan(tuple(kinds), free, plan_fixed(wiring, kinds), tuple(wiring.input_names))
+    plan = with_sensors(circuit, plan)
+    plan = plan._replace(controllers=plan_controllers(circuit, plan, wiring))
     start = initial_values(plan, circuit.fluid, initial or {})
     values = Values(circuit.fluid, packed, signals, circuit.sensors(), start)
 
     found = jax.eval_shape(lambda v: contributions(plan, v, 0.0, *starting_point(plan, v, 0.0)), values)
-    flow_ports, flow_rows = _incidence(kinds, [c.flow for c in found], len(free))
-    capacity_ports, capacity_rows = _incidence(kinds, [c.capacity for c in found], len(free))
-    plan = plan._replace(
-        flow_ports=flow_ports,
-        flow_incidence=flow_rows,
-        capacity_ports=capacity_ports,
-        capacity_incidence=capacity_rows,
-    )
+    flow, capacity = [c.flow for c in found], [c.capacity for c in found]
+    plan = plan._replace(flow=_incidence(kinds, flow, len(free)), capacity=_incidence(kinds, capacity, len(free)))
     _require_capacity(plan)
     return plan, values
 
@@ -91,9 +106,13 @@ def initial_values(plan: Plan, fluid: Oil, given: dict) -> Initial:
     for name in given:
         if name not in known:
             raise KeyError(f"no state is called {name!r}; there are {', '.join(known)}")
-    zero = 0.0 * fluid.atmospheric_pressure
-    rest = {"hydraulic": fluid.atmospheric_pressure + zero}
-    potentials = [given.get(f"{n}.{DOMAINS[d].potential}", rest.get(d, zero)) for n, d in plan.free_nodes]
+    names = [f"{node}.{DOMAINS[domain].potential}" for node, domain in plan.free_nodes]
+    hydraulic = np.asarray([float(domain == "hydraulic") for _, domain in plan.free_nodes])
+    potentials = np.zeros(0)
+    if names:
+        told = _stack(*(given.get(name, 0.0) for name in names))
+        rest, is_told = hydraulic * fluid.atmospheric_pressure, np.asarray([name in given for name in names])
+        potentials = array_module(told, rest).where(is_told, told, rest)
     states = tuple(
         {
             s.name: _stack(*(_shaped(f"{m}.{s.name}", given.get(f"{m}.{s.name}", np.nan), s) for m in kind.members))
@@ -101,7 +120,7 @@ def initial_values(plan: Plan, fluid: Oil, given: dict) -> Initial:
         }
         for kind in plan.kinds
     )
-    return Initial(_stack(*(np.asarray(0.0) + p for p in potentials)) if potentials else np.zeros(0), states)
+    return Initial(potentials, states)
 
 
 def _shaped(name: str, value, state: State):

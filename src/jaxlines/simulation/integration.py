@@ -1,5 +1,7 @@
 """The time integration: a compiled circuit from its start to its outputs, alone or with exact sensitivities."""
 
+import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import diffrax
@@ -12,7 +14,8 @@ import optimistix
 from jaxlines.simulation.observation import observe
 from jaxlines.simulation.plan import Plan, Values, ravel, unravel
 from jaxlines.simulation.result import STATUS
-from jaxlines.simulation.vector_field import rates, starting_point
+from jaxlines.simulation.sampling import Clock, SamplingSolver, SamplingSteps, clock_of
+from jaxlines.simulation.vector_field import rates, sampled, starting_point
 
 
 def implicit(solver: diffrax.AbstractSolver | None = None) -> diffrax.AbstractSolver:
@@ -73,13 +76,35 @@ def _field(plan: Plan, t, y, values: Values):
 
 
 def _start(plan: Plan, values: Values, t):
-    """The scaled states at the start."""
-    return ravel(plan, *starting_point(plan, values, t))
+    """The scaled states at the start, which is the first sampling instant of every sampled controller."""
+    potentials, states = starting_point(plan, values, t)
+    return ravel(plan, potentials, sampled(plan, values, t, lambda period: True, potentials, states))
+
+
+def _sample(plan: Plan, clock: Clock | None, t, y, values: Values):
+    """The scaled states after the sampling instants at time t."""
+    assert clock is not None
+    potentials, states = unravel(plan, y)
+    return ravel(plan, potentials, sampled(plan, values, t, functools.partial(clock.due, t), potentials, states))
 
 
 def _show(plan: Plan, wanted: tuple[str, ...], t, y, values: Values):
     """The wanted outputs in a state."""
     return observe(plan, values, wanted, t, *unravel(plan, y))
+
+
+def _show_late(plan: Plan, name: str, start, t, y, values: Values):
+    """What a sensor with a delay shows later of a state at time t, with the derivative in the delay.
+
+    Where to look is no derivative's business: the slope of what is shown stands for it.
+    """
+
+    def shown(t, y):
+        return _show(plan, (name,), t, y, values)[0]
+
+    delay = values.sensors[name].delay
+    now, slope = jax.jvp(shown, (t, y), (jnp.ones_like(t), _field(plan, t, y, values)))
+    return now - jnp.where(t > start, slope, 0.0) * (delay - jax.lax.stop_gradient(delay))
 
 
 def _lowest_pressure(plan: Plan, y):
@@ -105,35 +130,67 @@ def _controller(values: Values, tolerance, max_step: float | None) -> diffrax.Ab
     solution, so that these times carry no derivative (it would grow from step to step).
     """
     controller = diffrax.PIDController(rtol=tolerance, atol=tolerance, pcoeff=0.3, icoeff=0.3, dtmax=max_step)
-    jumps = [jnp.ravel(s.jump_times()) for s in values.signals if np.size(s.jump_times())]
-    knots = [jnp.ravel(s.knot_times()) for s in values.signals if np.size(s.knot_times())]
+    signals = values.every_signal()
+    jumps = [jnp.ravel(s.jump_times()) for s in signals if np.size(s.jump_times())]
+    knots = [jnp.ravel(s.knot_times()) for s in signals if np.size(s.knot_times())]
     if not jumps and not knots:
         return controller
     times = [jax.lax.stop_gradient(jnp.sort(jnp.concatenate(g))) if g else None for g in (knots, jumps)]
     return diffrax.ClipStepSizeController(controller, step_ts=times[0], jump_ts=times[1])
 
 
-def _solve(method: Method, adjoint, field, start, save, values: Values, times, tolerance) -> diffrax.Solution:
-    """diffrax with everything that the two ways of integrating share."""
-    return diffrax.diffeqsolve(
-        diffrax.ODETerm(lambda t, y, args: field(t, y)),
-        method.solver,
+class Run(NamedTuple):
+    """What is integrated: the field f(t, y), the state at the start, what is shown of it, and what sampling does to it.
+
+    late: sensors with a delay by the column of their output: what they show of a state, and their delay [s].
+    """
+
+    field: Callable
+    start: Any
+    show: Callable
+    sample: Callable
+    late: dict[int, tuple[Callable, Any]]
+
+
+def _solve(method: Method, adjoint, run: Run, values: Values, clock: Clock | None, times, tolerance):
+    """diffrax with everything that the two ways of integrating share: solution, what was shown at times, and late."""
+    solver, controller, end = method.solver, _controller(values, tolerance, method.max_step), times[-1]
+    if clock is not None:
+        solver = SamplingSolver(solver, run.sample, clock)
+        controller, end = SamplingSteps(controller, clock), end + clock.after
+    subs = [diffrax.SubSaveAt(ts=times, fn=lambda t, y, args: run.show(t, y))]
+    for late, delay in run.late.values():
+        earlier = jax.lax.stop_gradient(jnp.maximum(times - delay, times[0]))
+        subs.append(diffrax.SubSaveAt(ts=earlier, fn=lambda t, y, args, late=late: late(t, y)))
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(lambda t, y, args: run.field(t, y)),
+        solver,
         t0=times[0],
-        t1=times[-1],
+        t1=end,
         dt0=None,
-        y0=start,
-        saveat=diffrax.SaveAt(ts=times, fn=lambda t, y, args: save(t, y)),
-        stepsize_controller=_controller(values, tolerance, method.max_step),
+        y0=run.start,
+        saveat=diffrax.SaveAt(subs=subs),
+        stepsize_controller=controller,
         adjoint=adjoint,
         max_steps=method.max_steps,
         throw=False,
     )
-
-
-def _saved(solution: diffrax.Solution) -> tuple:
-    """What was saved at the requested times."""
     assert solution.ys is not None
-    return solution.ys
+    shown, *late = solution.ys
+    return solution, shown, dict(zip(run.late, late, strict=True))
+
+
+def _with_late(shown, late: dict):
+    """Outputs (times, outputs, ...) with the columns of the sensors that have a delay."""
+    for column, values in late.items():
+        shown = shown.at[:, column].set(values)
+    return shown
+
+
+def _delayed(plan: Plan, wanted: tuple[str, ...]) -> dict[int, str]:
+    """Column -> name of the wanted sensors that have a delay."""
+    delayed = {sensor.name for sensor in plan.sensors if sensor.delayed}
+    return {column: name for column, name in enumerate(wanted) if name in delayed}
 
 
 def _trajectory(solution: diffrax.Solution, outputs, lowest, values: Values) -> Trajectory:
@@ -150,15 +207,24 @@ def integrate(plan: Plan, wanted: tuple[str, ...], method: Method, values: Value
     tolerance: relative tolerance, and absolute tolerance of the scaled states.
     """
 
-    def save(t, y):
+    clock = clock_of(plan, values, times[0])
+
+    def show(t, y):
         return _show(plan, wanted, t, y, values), _lowest_pressure(plan, y)
 
     def field(t, y):
         return _field(plan, t, y, values)
 
-    solution = _solve(method, method.adjoint(), field, _start(plan, values, times[0]), save, values, times, tolerance)
-    outputs, lowest = _saved(solution)
-    return _trajectory(solution, outputs, lowest, values)
+    def sample(t, y):
+        return _sample(plan, clock, t, y, values)
+
+    late = {
+        column: (lambda t, y, name=name: _show_late(plan, name, times[0], t, y, values), values.sensors[name].delay)
+        for column, name in _delayed(plan, wanted).items()
+    }
+    run = Run(field, _start(plan, values, times[0]), show, sample, late)
+    solution, (outputs, lowest), seen_late = _solve(method, method.adjoint(), run, values, clock, times, tolerance)
+    return _trajectory(solution, _with_late(outputs, seen_late), lowest, values)
 
 
 def integrate_with_sensitivities(
@@ -177,29 +243,44 @@ def integrate_with_sensitivities(
     Reference: Hindmarsh et al., "SUNDIALS", ACM Trans. Math. Softw. 31, 2005 (simultaneous corrector of CVODES).
     """
     values = rebuild(leaves)
+    clock = clock_of(plan, values, times[0])
     start, start_slopes = _pushed(lambda leaves: _start(plan, rebuild(leaves), times[0]), (leaves,), (slopes,))
     size, count = start.size, start_slopes.shape[0]
 
     def split(y):
         return y[:size], y[size:].reshape(count, size)
 
+    def joined(state, tangents):
+        return jnp.concatenate([state, tangents.ravel()])
+
+    def pushed(function, y):
+        """A function of states and values, with its derivatives in all parameters."""
+        state, tangents = split(y)
+        return _pushed(lambda state, leaves: function(state, rebuild(leaves)), (state, leaves), (tangents, slopes))
+
     def field(t, y):
-        state, tangents = split(y)
-        rate, rate_slopes = _pushed(
-            lambda state, leaves: _field(plan, t, state, rebuild(leaves)), (state, leaves), (tangents, slopes)
-        )
-        return jnp.concatenate([rate, rate_slopes.ravel()])
+        return joined(*pushed(lambda state, values: _field(plan, t, state, values), y))
 
-    def save(t, y):
-        state, tangents = split(y)
-        shown, shown_slopes = _pushed(
-            lambda state, leaves: _show(plan, wanted, t, state, rebuild(leaves)), (state, leaves), (tangents, slopes)
-        )
-        return shown, _lowest_pressure(plan, state), shown_slopes.T
+    def sample(t, y):
+        return joined(*pushed(lambda state, values: _sample(plan, clock, t, state, values), y))
 
-    start = jnp.concatenate([start, start_slopes.ravel()])
-    solution = _solve(method, diffrax.ForwardMode(), field, start, save, values, times, tolerance)
-    outputs, lowest, output_slopes = _saved(solution)
+    def show(t, y):
+        shown, shown_slopes = pushed(lambda state, values: _show(plan, wanted, t, state, values), y)
+        return shown, _lowest_pressure(plan, split(y)[0]), shown_slopes.T
+
+    def show_late(name, t, y):
+        return pushed(lambda state, values: _show_late(plan, name, times[0], t, state, values), y)
+
+    late = {
+        column: (functools.partial(show_late, name), values.sensors[name].delay)
+        for column, name in _delayed(plan, wanted).items()
+    }
+    run = Run(field, joined(start, start_slopes), show, sample, late)
+    solution, (outputs, lowest, output_slopes), seen_late = _solve(
+        method, diffrax.ForwardMode(), run, values, clock, times, tolerance
+    )
+    outputs = _with_late(outputs, {column: shown for column, (shown, _) in seen_late.items()})
+    output_slopes = _with_late(output_slopes, {column: slope for column, (_, slope) in seen_late.items()})
     return _trajectory(solution, outputs, lowest, values), output_slopes
 
 

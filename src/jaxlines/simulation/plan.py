@@ -13,23 +13,86 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlines.physics.component import DOMAINS, AbstractComponent, State
-from jaxlines.physics.fields import AbstractSignal
+from jaxlines.physics.fields import AbstractSignal, driven_of
 from jaxlines.physics.fluids import Oil
 from jaxlines.physics.sensors import AbstractSensor
 from jaxlines.simulation.wiring import FixedNode, Kind
 
 
+class Quantity(NamedTuple):
+    """Where a quantity is found: room, kind, name in it, its index; its unit.
+
+    Rooms are "free" and "fixed" (nodes), "state", "port" (flows), "input" (external inputs and controllers' outputs).
+    The index has the own axes of a state first and the member of the kind last.
+    """
+
+    room: str
+    kind: int
+    name: str
+    index: tuple[int, ...]
+    unit: str
+
+
+class SensorPlan(NamedTuple):
+    """Where a sensor finds the quantity it reads, and the one it subtracts.
+
+    reading: its state, when it has a lag; delayed: whether it shows the past.
+    """
+
+    name: str
+    read: Quantity
+    subtracted: Quantity | None
+    reading: Quantity | None
+    delayed: bool
+
+
+class Reading(NamedTuple):
+    """What the members of a kind of controllers read into a field: a quantity each, or what a sensor shows.
+
+    sensors: (member, sensor) for those that read through one.
+    """
+
+    field: str
+    places: tuple[Quantity, ...]
+    sensors: tuple[tuple[int, SensorPlan], ...]
+
+
+class ControllerPlan(NamedTuple):
+    """A kind of controllers, where its outputs are among the inputs, and what it reads."""
+
+    kind: int
+    sampled: bool
+    outputs: tuple[int, ...]
+    readings: tuple[Reading, ...]
+
+
+class Incidence(NamedTuple):
+    """Which terms are summed at each node.
+
+    Terms are the members of (kind, port) pairs one after another; the position after the last stands for zero.
+    Nodes with similar numbers of terms share a table (nodes, terms), so that one wide junction does not make a
+    long row of every other; `order` finds each node among the rows of all tables.
+    """
+
+    ports: tuple[tuple[int, str], ...] = ()
+    tables: tuple[tuple[tuple[int, ...], ...], ...] = ()
+    order: tuple[int, ...] = ()
+
+
 class Plan(NamedTuple):
-    """The static description of a circuit."""
+    """The static description of a circuit.
+
+    kinds: of components, in the order of `Values.kinds`, then one for every sensor with a lag, which has a state.
+    """
 
     kinds: tuple[Kind, ...]
     free_nodes: tuple[tuple[str, str], ...]
     fixed_nodes: tuple[FixedNode, ...]
     signal_names: tuple[str, ...]
-    flow_ports: tuple[tuple[int, str], ...]
-    flow_incidence: tuple[tuple[int, ...], ...]
-    capacity_ports: tuple[tuple[int, str], ...]
-    capacity_incidence: tuple[tuple[int, ...], ...]
+    controllers: tuple[ControllerPlan, ...] = ()
+    sensors: tuple[SensorPlan, ...] = ()
+    flow: Incidence = Incidence()
+    capacity: Incidence = Incidence()
 
 
 class Initial(eqx.Module):
@@ -44,13 +107,18 @@ class Initial(eqx.Module):
 
 
 class Values(eqx.Module):
-    """All numbers of a circuit, packed by kind."""
+    """All numbers of a circuit, packed by kind; `signals` are the external inputs in the order of their names."""
 
     fluid: Oil
     kinds: tuple[AbstractComponent, ...]
     signals: tuple[AbstractSignal, ...]
     sensors: dict[str, AbstractSensor]
     initial: Initial
+
+    def every_signal(self) -> list[AbstractSignal]:
+        """External inputs, and the signals that components have of their own (members side by side)."""
+        own = [getattr(kind, field) for kind in self.kinds for field in driven_of(kind)]
+        return [*self.signals, *(signal for signal in own if isinstance(signal, AbstractSignal))]
 
 
 def initial_names(plan: Plan) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""How a circuit is wired: components grouped into kinds, their ports and signals as indices."""
+"""How a circuit is wired: components grouped into kinds, their ports and inputs as indices."""
 
 import dataclasses
 from typing import Any, NamedTuple
@@ -7,9 +7,11 @@ import jax
 import numpy as np
 
 from jaxlines.physics.component import AbstractComponent, State
-from jaxlines.physics.fields import AbstractSignal, External, driven_of, ports_of
+from jaxlines.physics.controllers import reads_of
+from jaxlines.physics.fields import External, driven_of, ports_of
 from jaxlines.physics.fluids import Oil
 from jaxlines.simulation.circuit import Circuit
+from jaxlines.simulation.loops import controller_levels
 
 
 class PortPlan(NamedTuple):
@@ -22,7 +24,11 @@ class PortPlan(NamedTuple):
 
 
 class Kind(NamedTuple):
-    """Components that are evaluated together."""
+    """Components that are evaluated together.
+
+    `signals`: driven field -> for each member the index of its input among external inputs and controllers; other
+    driven fields hold numbers, or signals of the members' own.
+    """
 
     members: tuple[str, ...]
     ports: tuple[PortPlan, ...]
@@ -31,13 +37,13 @@ class Kind(NamedTuple):
 
 
 class FixedNode(NamedTuple):
-    """A node whose potential is given: by a signal (kind < 0: index is the signal's), or by a packed leaf."""
+    """A node whose potential is given by a driven field of a member of a kind."""
 
     name: str
     domain: str
     kind: int
     field: str
-    index: int
+    member: int
 
 
 def _copy_with(module, changes: dict):
@@ -49,71 +55,62 @@ def _copy_with(module, changes: dict):
 
 
 def anonymous(component: AbstractComponent) -> AbstractComponent:
-    """The component without node names and signals: what members of a kind have in common."""
-    blank: dict = dict.fromkeys(ports_of(component), "")
-    blank |= {f: None for f in driven_of(component) if isinstance(getattr(component, f), AbstractSignal)}
+    """The component without the names of nodes, inputs and readings: what members of a kind have in common."""
+    blank: dict = dict.fromkeys([*ports_of(component), *reads_of(component)], "")
+    blank |= {f: None for f in driven_of(component) if isinstance(getattr(component, f), External)}
     return _copy_with(component, blank)
 
 
 class Wiring:
-    """Collects nodes and signals of a circuit while its kinds are planned."""
+    """Nodes and inputs of a circuit as indices.
+
+    Inputs are numbered: external ones first, by name, then controllers, each after those that it listens to.
+    """
 
     def __init__(self, circuit: Circuit):
+        self.nodes = circuit.nodes()
         self.fixed = circuit.fixed_nodes()
-        nodes = circuit.nodes()
-        self.free_names = [name for name in nodes if name not in self.fixed]
-        self.fixed_names = [name for name in nodes if name in self.fixed]
-        self.nodes = nodes
-        self.signals: dict[Any, AbstractSignal] = {}
+        self.free_names = [name for name in self.nodes if name not in self.fixed]
+        self.fixed_names = [name for name in self.nodes if name in self.fixed]
+        self.free_index = {name: i for i, name in enumerate(self.free_names)}
+        self.fixed_index = {name: i for i, name in enumerate(self.fixed_names)}
+        self.levels = controller_levels(circuit.components)
+        self.input_names = [name for name in circuit.external_inputs() if name not in self.levels]
+        self.input_index = {name: i for i, name in enumerate([*self.input_names, *self.levels])}
 
     def port(self, component, port: str) -> tuple[bool, int]:
         """Whether the node at a port is fixed, and its index."""
         node = getattr(component, port)
-        return (True, self.fixed_names.index(node)) if node in self.fixed else (False, self.free_names.index(node))
-
-    def signal(self, owner: str, field: str, signal: AbstractSignal) -> int:
-        """Index of a signal; external inputs of one name are one signal."""
-        key = signal.name if isinstance(signal, External) else (owner, field)
-        self.signals.setdefault(key, signal)
-        return list(self.signals).index(key)
+        return (True, self.fixed_index[node]) if node in self.fixed else (False, self.free_index[node])
 
 
 def group_kinds(circuit: Circuit, wiring: Wiring) -> list[dict[str, AbstractComponent]]:
     """Components grouped into kinds, in the order of first appearance."""
     groups: dict[Any, dict[str, AbstractComponent]] = {}
     for name, part in circuit.parts().items():
-        fixed = tuple(wiring.port(part, port)[0] for port in ports_of(part))
-        shapes = tuple(np.shape(leaf) for leaf in jax.tree.leaves(anonymous(part)))
-        key = (jax.tree.structure(anonymous(part)), fixed, shapes)
+        fixed = tuple(getattr(part, port) in wiring.fixed for port in ports_of(part))
+        leaves, structure = jax.tree.flatten(anonymous(part))
+        key = (structure, fixed, tuple(np.shape(leaf) for leaf in leaves), wiring.levels.get(name))
         groups.setdefault(key, {})[name] = part
     return list(groups.values())
 
 
 def plan_kind(members: dict[str, AbstractComponent], wiring: Wiring, fluid: Oil) -> Kind:
-    """Attach the ports and the signals of a kind."""
+    """Attach the ports and the inputs of a kind."""
     first = next(iter(members.values()))
     ports = []
     for port, domain in ports_of(first).items():
         places = [wiring.port(part, port) for part in members.values()]
         ports.append(PortPlan(port, domain, places[0][0], tuple(index for _, index in places)))
-    signals = []
-    for field in driven_of(first):
-        if isinstance(getattr(first, field), AbstractSignal):
-            index = tuple(wiring.signal(name, field, getattr(part, field)) for name, part in members.items())
-            signals.append((field, index))
+    listening = [field for field in driven_of(first) if isinstance(getattr(first, field), External)]
+    signals = [(f, tuple(wiring.input_index[getattr(m, f).name] for m in members.values())) for f in listening]
     return Kind(tuple(members), tuple(ports), tuple(signals), first.states_in(fluid))
 
 
-def plan_fixed(circuit: Circuit, wiring: Wiring, kinds: list[Kind]) -> tuple[FixedNode, ...]:
+def plan_fixed(wiring: Wiring, kinds: list[Kind]) -> tuple[FixedNode, ...]:
     """Where the potential of each fixed node comes from."""
-    fixed = []
-    for node in wiring.fixed_names:
-        owner, field = wiring.fixed[node]
-        value = getattr(circuit.components[owner], field)
-        if isinstance(value, AbstractSignal):
-            place = (-1, wiring.signal(owner, field, value))
-        else:
-            kind = next(k for k, kind in enumerate(kinds) if owner in kind.members)
-            place = (kind, kinds[kind].members.index(owner))
-        fixed.append(FixedNode(node, wiring.nodes[node], place[0], field, place[1]))
-    return tuple(fixed)
+    place = {name: (k, member) for k, kind in enumerate(kinds) for member, name in enumerate(kind.members)}
+    owners = [(node, *wiring.fixed[node]) for node in wiring.fixed_names]
+    return tuple(
+        FixedNode(node, wiring.nodes[node], place[owner][0], field, place[owner][1]) for node, owner, field in owners
+    )
