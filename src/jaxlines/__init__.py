@@ -30,6 +30,11 @@ if TYPE_CHECKING:  # the public names; each is imported when it is first used (s
         Vessel as Vessel,
         ViscoelasticHose as ViscoelasticHose,
     )
+    from jaxlines.physics.cylinders import (
+        DoubleRodCylinder as DoubleRodCylinder,
+        RotaryActuator as RotaryActuator,
+        SingleRodCylinder as SingleRodCylinder,
+    )
     from jaxlines.physics.fluids import Oil as Oil
     from jaxlines.physics.friction import (
         ChurchillFriction as ChurchillFriction,
@@ -38,7 +43,21 @@ if TYPE_CHECKING:  # the public names; each is imported when it is first used (s
     )
     from jaxlines.physics.lines import FluidInertia as FluidInertia, Line as Line
     from jaxlines.physics.liquids import DowsonHigginson as DowsonHigginson, Murnaghan as Murnaghan, Tait as Tait
+    from jaxlines.physics.machine_losses import WilsonLosses as WilsonLosses
+    from jaxlines.physics.mechanics import (
+        Angle as Angle,
+        Damper as Damper,
+        Force as Force,
+        Mass as Mass,
+        Position as Position,
+        RotaryDamper as RotaryDamper,
+        RotaryFriction as RotaryFriction,
+        RotarySpring as RotarySpring,
+        SlidingFriction as SlidingFriction,
+        Spring as Spring,
+    )
     from jaxlines.physics.motors import (
+        BentAxisMotor as BentAxisMotor,
         Brake as Brake,
         Inertia as Inertia,
         LoadTorque as LoadTorque,
@@ -46,8 +65,30 @@ if TYPE_CHECKING:  # the public names; each is imported when it is first used (s
         Supercharge as Supercharge,
     )
     from jaxlines.physics.nitrogen import IdealGas as IdealGas, Nitrogen as Nitrogen
-    from jaxlines.physics.resistances import LaminarLeak as LaminarLeak, Orifice as Orifice
-    from jaxlines.physics.sensors import FlowSensor as FlowSensor, PressureSensor as PressureSensor
+    from jaxlines.physics.pressure_valves import (
+        CheckValve as CheckValve,
+        CounterbalanceValve as CounterbalanceValve,
+        ReducingValve as ReducingValve,
+        ReliefValve as ReliefValve,
+    )
+    from jaxlines.physics.pumps import PressureCompensatedPump as PressureCompensatedPump, Pump as Pump
+    from jaxlines.physics.resistances import (
+        AnnularLeak as AnnularLeak,
+        LaminarLeak as LaminarLeak,
+        MinorLoss as MinorLoss,
+        Orifice as Orifice,
+    )
+    from jaxlines.physics.sensors import (
+        AngleSensor as AngleSensor,
+        DifferentialPressureSensor as DifferentialPressureSensor,
+        FlowSensor as FlowSensor,
+        LevelSensor as LevelSensor,
+        PositionSensor as PositionSensor,
+        PressureSensor as PressureSensor,
+        SpeedSensor as SpeedSensor,
+        StateSensor as StateSensor,
+        VelocitySensor as VelocitySensor,
+    )
     from jaxlines.physics.servovalve import Servovalve as Servovalve
     from jaxlines.physics.solubility import (
         HenrySolubility as HenrySolubility,
@@ -55,6 +96,16 @@ if TYPE_CHECKING:  # the public names; each is imported when it is first used (s
         PolynomialSolubility as PolynomialSolubility,
     )
     from jaxlines.physics.sources import FlowSource as FlowSource, PressureSource as PressureSource, Tank as Tank
+    from jaxlines.physics.stops import (
+        Backlash as Backlash,
+        EndStop as EndStop,
+        Gear as Gear,
+        RotaryBacklash as RotaryBacklash,
+        RotaryEndStop as RotaryEndStop,
+    )
+    from jaxlines.physics.tables import CurveValve as CurveValve, TableValve as TableValve
+    from jaxlines.physics.tanks import OpenTank as OpenTank, SurgeShaft as SurgeShaft
+    from jaxlines.physics.valves import ProportionalValve43 as ProportionalValve43, Valve22 as Valve22
     from jaxlines.physics.viscosity import ConstantViscosity as ConstantViscosity, Vogel as Vogel, Walther as Walther
     from jaxlines.physics.weighting import (
         JohnstonWeights as JohnstonWeights,

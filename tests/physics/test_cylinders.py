@@ -5,7 +5,6 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-import test_components as components
 
 import jaxlines as jl
 from jaxlines.physics.cylinders import DoubleRodCylinder, RotaryActuator, SingleRodCylinder, piston_area
@@ -16,26 +15,12 @@ ARTICLE = jl.Oil(1.379e9, 850.0, mass="article")
 AIRY = jl.Oil(1.4e9, 850.0, air_fraction=0.02, modulus_slope=8.0)
 KINETIC = jl.Oil(1.4e9, 850.0, air_fraction=0.01, air=jl.KineticAir(jl.PolynomialSolubility(), 0.1, 5.0))
 FRICTION = (100.0, 200.0, 90.0)
-PARTS = {
-    "double-rod cylinder": DoubleRodCylinder("a", "b", "rod", 1e-3, 0.5, 3e-4, 2e-4, 1e-12, 20.0, *FRICTION),
-    "single-rod cylinder": SingleRodCylinder("a", "b", "rod", 2e-3, 1e-3, 0.1, 3e-4, 2e-4, 1e-12, None, *FRICTION),
-    "rotary actuator": RotaryActuator("a", "b", "shaft", 1e-4, 1.2, 2e-4, 2e-4, 1e-11, 0.5, 10.0, 20.0, 9.0),
-}
 
 
 @pytest.fixture(scope="module", autouse=True)
 def float64():
     with jax.enable_x64(True):
         yield
-
-
-@pytest.mark.parametrize("oil", ["with air", "article", "kinetic air"])
-@pytest.mark.parametrize("name", PARTS)
-def test_derivatives_and_batches(name, oil, monkeypatch):
-    monkeypatch.setitem(components.PARTS, name, PARTS[name])
-    components.test_jacobian_in_all_numbers_and_potentials(name, oil)
-    if oil == "with air":
-        components.test_vmap_equals_loop(name)
 
 
 def run(fluid, parts, times, initial, tolerance=1e-10, inputs=None):

@@ -3,19 +3,16 @@
 import jax
 import numpy as np
 import pytest
-import test_components as components
 from hypothesis import given, settings, strategies as st
 
 import jaxlines as jl
 from jaxlines.physics.component import Situation
 from jaxlines.physics.mechanics import (
-    Angle,
     Damper,
     Force,
     Mass,
     Position,
     RotaryDamper,
-    RotaryFriction,
     RotarySpring,
     SlidingFriction,
     Spring,
@@ -33,38 +30,12 @@ from jaxlines.physics.stops import (
 )
 
 OIL = jl.Oil(1e9, 870.0, mass="article")
-PARTS = {
-    "mass": Mass("m", 20.0),
-    "force": Force("m", 100.0),
-    "spring": Spring("m", 1e5, 10.0, "n"),
-    "torsion spring": RotarySpring("m", 1e5, 10.0),
-    "damper": Damper("m", 1e3, "n"),
-    "rotary damper": RotaryDamper("m", 1e3),
-    "sliding friction": SlidingFriction("m", 100.0, 30.0, 5.0, 0.03, 0.02, "n"),
-    "rotary friction": RotaryFriction("m", 100.0, 30.0, 5.0),
-    "position": Position("m", "n"),
-    "angle": Angle("m"),
-    "end stop": EndStop("m", -1.5e-3, 2.5e-3, 1e7, 1e4, 1e-3),
-    "one stop": EndStop("m", upper=2e-3, to="n"),
-    "rotary end stop": RotaryEndStop("m", -0.1, 0.2, to="n"),
-    "backlash": Backlash("m", 1.1e-3, 1e7, 1e3, 2e-4, "n"),
-    "rotary backlash": RotaryBacklash("m", 9e-4, 1e6, 1e3, 2e-4),
-    "gear": Gear("a", "b", 20.0, 1e6, 1e3, 5e-4, 1e-4, 0.95),
-    "gear without play": Gear("a", "b", -20.0, 1e6, 1e3),
-}
 
 
 @pytest.fixture(scope="module", autouse=True)
 def float64():
     with jax.enable_x64(True):
         yield
-
-
-@pytest.mark.parametrize("name", PARTS)
-def test_derivatives_and_batches(name, monkeypatch):
-    monkeypatch.setitem(components.PARTS, name, PARTS[name])
-    components.test_jacobian_in_all_numbers_and_potentials(name, "article")
-    components.test_vmap_equals_loop(name)
 
 
 def run(parts, times, initial=None, tolerance=1e-10, **inputs):

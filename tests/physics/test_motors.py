@@ -3,7 +3,6 @@
 import jax
 import numpy as np
 import pytest
-import test_components as components
 from hypothesis import given, settings, strategies as st
 from scipy.integrate import quad
 
@@ -15,12 +14,6 @@ from jaxlines.physics.motors import BentAxisMotor, Motor, commutated_lever
 ARTICLE = jl.Oil(1.379e9, 850.0, 27.7e-6, mass="article")
 # The axial motor of these tests: A 5 cm^2, R 60 mm, gamma 0.6 rad.
 PER_PISTON = 5e-4 * 0.06 * np.sin(0.6)
-PARTS = {
-    "motor with Wilson's losses": Motor("a", "b", "c", "shaft", 1e-4, losses=WilsonLosses(1e-8, 1e5, 0.03)),
-    "bent-axis motor": BentAxisMotor(
-        *("a", "b", "c", "shaft"), 5e-4, 0.06, 0.6, 7, 0.2, 5e-12, 2e-12, 2.0, 0.03, 5.0, losses=WilsonLosses(1e-8, 1e5)
-    ),
-}
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -31,21 +24,6 @@ def float64():
 
 def bent_axis(pistons=7, width=0.05, **options):
     return BentAxisMotor("a", "b", "c", "shaft", 5e-4, 0.06, 0.6, pistons, width, **options)
-
-
-@pytest.mark.parametrize("oil", ["with air", "article"])
-@pytest.mark.parametrize("name", PARTS)
-def test_derivatives_and_batches(name, oil, monkeypatch):
-    monkeypatch.setitem(components.PARTS, name, PARTS[name])
-    components.test_jacobian_in_all_numbers_and_potentials(name, oil)
-    components.test_vmap_equals_loop(name)
-
-
-@pytest.mark.parametrize("point", components.POINTS)
-@pytest.mark.parametrize("name", PARTS)
-def test_mass_is_passed_on(name, point, monkeypatch):
-    monkeypatch.setitem(components.PARTS, name, PARTS[name])
-    components.test_mass_is_passed_on(name, point)
 
 
 def test_the_plain_motor_by_hand():

@@ -3,7 +3,6 @@
 import jax
 import numpy as np
 import pytest
-import test_components as components
 
 import jaxlines as jl
 from jaxlines.physics.sensors import LevelSensor
@@ -12,21 +11,12 @@ from jaxlines.physics.tanks import OpenTank, SurgeShaft, depth_of_water, foot_pr
 G = 9.80665
 WATER = jl.Oil(2.18e9, 998.2, 1e-6, mass="article")
 REAL = jl.Oil(2.18e9, 998.2, 1e-6, air_fraction=1e-4)
-PARTS = {"open tank": OpenTank("a", 2.0, 3.0), "surge shaft": SurgeShaft("a", 2.0, 0.05, transition=1e3, bottom=3.0)}
 
 
 @pytest.fixture(scope="module", autouse=True)
 def float64():
     with jax.enable_x64(True):
         yield
-
-
-@pytest.mark.parametrize("oil", ["with air", "article"])
-@pytest.mark.parametrize("name", PARTS)
-def test_derivatives_and_batches(name, oil, monkeypatch):
-    monkeypatch.setitem(components.PARTS, name, PARTS[name])
-    components.test_jacobian_in_all_numbers_and_potentials(name, oil)
-    components.test_vmap_equals_loop(name)
 
 
 def run(fluid, parts, times, initial, tolerance=1e-10, **options):

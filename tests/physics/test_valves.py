@@ -30,7 +30,7 @@ def float64():
         yield
 
 
-@pytest.mark.parametrize("name", PARTS)
+@pytest.mark.parametrize("name", ["2/2 second order", "4/3 first order"])
 def test_derivatives_and_conservation(name):
     check_derivatives(PARTS[name])
     check_conservation(PARTS[name])
