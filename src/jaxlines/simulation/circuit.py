@@ -5,11 +5,14 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 
-from jaxlines.physics.component import AbstractComponent
-from jaxlines.physics.fields import External, as_number, check_range, driven_of, ports_of
+from jaxlines.physics.component import DOMAINS, AbstractComponent, Situation
+from jaxlines.physics.fields import HYDRAULIC, ROTATIONAL, External, as_number, check_range, driven_of, ports_of
 from jaxlines.physics.fluids import Oil
+from jaxlines.physics.lines import Line
 from jaxlines.physics.sensors import AbstractSensor
+from jaxlines.simulation.circuit_table import circuit_table
 from jaxlines.simulation.paths import leaf_paths, resolve
 
 
@@ -18,7 +21,9 @@ class Circuit(eqx.Module):
 
     Args: fluid; components: name -> component or sensor. Nodes exist by being named at a port.
     Raises: TypeError for what is no component; ValueError when a node is used in two domains, is set by
-        two sources, or when a name is taken twice or has a dot in it.
+        two sources, or when a name is taken twice or has a dot in it, or when a port's node has no capacity and
+        nothing else is attached to it.
+    `print(circuit)` shows it as a table.
     """
 
     fluid: Oil
@@ -35,7 +40,10 @@ class Circuit(eqx.Module):
         clash = set(self.components) & set(self.nodes())
         if clash:
             raise ValueError(f"{sorted(clash)[0]!r} is both a node and a component: give one of them another name")
-        self.fixed_nodes()
+        _require_attachment(self)
+
+    def __str__(self) -> str:
+        return circuit_table(self.fluid, self.components)
 
     def parts(self) -> dict[str, AbstractComponent]:
         """The components that are no sensors."""
@@ -107,6 +115,40 @@ class Circuit(eqx.Module):
         changed = jax.tree.unflatten(structure, leaves)
         # JAX sorts the names; in their own order the changed circuit runs on the same compiled program.
         return Circuit(changed.fluid, {name: changed.components[name] for name in self.components})
+
+
+REMEDIES = {HYDRAULIC: "a Line (a Vessel is a plain volume), or a PressureSource", ROTATIONAL: "an Inertia"}
+"""What to attach to a node without capacity, by domain; elsewhere a Mass."""
+
+
+def _require_attachment(circuit: Circuit) -> None:
+    """Raise for a node to which one port is attached and nothing else, where that port gives it no capacity."""
+    fixed, attached = circuit.fixed_nodes(), {}
+    for name, part in circuit.parts().items():
+        for port in ports_of(part):
+            attached.setdefault(getattr(part, port), []).append((name, port))
+    for node, places in attached.items():
+        name, port = places[0]
+        if node in fixed or len(places) > 1 or _gives_capacity(circuit.fluid, circuit.parts()[name], port):
+            continue
+        domain = circuit.nodes()[node]
+        raise ValueError(
+            f"{domain} node {node!r} has no capacity, so that its {DOMAINS[domain].potential} is undetermined: attach "
+            f"{REMEDIES.get(domain, 'a Mass')}, or correct the name; nothing but {name}.{port} is attached to it"
+        )
+
+
+def _gives_capacity(fluid: Oil, part: AbstractComponent, port: str) -> bool:
+    """Whether a component adds to the capacity of the node at a port, without computing anything."""
+    if isinstance(part, Line):
+        return part.to is None or part.model == "pi"
+
+    def capacity(fluid, part):
+        at_ports = {name: jnp.asarray(1.0) for name in ports_of(part)}
+        states = {state.name: jnp.ones(state.shape) for state in part.states_in(fluid)}
+        return part.evaluate(Situation(fluid, at_ports, states, dict.fromkeys(driven_of(part), 1.0))).capacity
+
+    return port in eqx.filter_eval_shape(capacity, fluid, part)
 
 
 def field_metadata(circuit: Circuit, path: str) -> dict:

@@ -1,0 +1,105 @@
+"""Where the boxes and wires of a diagram go: layers from sources down to tanks and shafts, by Sugiyama's method.
+
+The layout itself is grandalf's; what is said here is which way each wire points, and how wires leave their boxes.
+"""
+
+import dataclasses
+from collections.abc import Iterable
+
+
+@dataclasses.dataclass
+class Box:
+    """What is drawn: its size, and where the layout put its middle; `weight` orders it from top to bottom."""
+
+    name: str
+    width: float
+    height: float
+    weight: float = 0.0
+    x: float = 0.0
+    y: float = 0.0
+
+
+@dataclasses.dataclass
+class Wire:
+    """A connection from one box to another, labelled at either end.
+
+    points: where it runs, ends included; set by `lay_out`. `down` says that it is meant to point downwards.
+    """
+
+    start: Box
+    end: Box
+    label: str
+    css: str
+    down: bool = False
+    points: list[tuple[float, float]] = dataclasses.field(default_factory=list)
+
+
+_GAP, _LAYER = 34.0, 58.0
+_ROUNDS = 12
+
+
+def lay_out(boxes: Iterable[Box], wires: list[Wire]) -> tuple[float, float]:
+    """Place boxes and wires; returns width and height of the drawing.
+
+    Reference: Sugiyama, Tagawa and Toda, "Methods for visual understanding of hierarchical system structures", IEEE
+    Trans. Systems, Man, and Cybernetics 11, 1981.
+    """
+    from grandalf.graphs import Edge, Graph, Vertex
+    from grandalf.layouts import SugiyamaLayout
+
+    class View:
+        def __init__(self, box: Box):
+            self.w, self.h, self.xy = box.width, box.height, (0.0, 0.0)
+
+    class Path:
+        def setpath(self, points):
+            self.points = list(points)
+
+    vertices = {id(box): Vertex(box) for box in boxes}
+    for vertex in vertices.values():
+        vertex.view = View(vertex.data)
+    edges = []
+    for wire in wires:
+        ends = (wire.start, wire.end)
+        upper, lower = ends if wire.down or wire.start.weight <= wire.end.weight else ends[::-1]
+        edge = Edge(vertices[id(upper)], vertices[id(lower)], data=(wire, upper is wire.start))
+        edge.view = Path()
+        edges.append(edge)
+    left = height = 0.0
+    for part in Graph(list(vertices.values()), edges).C:
+        layout = SugiyamaLayout(part)
+        layout.xspace, layout.yspace = _GAP, _LAYER
+        layout.route_edge = lambda edge, points: None
+        roots = [vertex for vertex in part.sV if not vertex.e_in()] or [next(iter(part.sV))]
+        layout.init_all(roots=roots)
+        layout.draw(_ROUNDS)
+        placed = [vertex.data for vertex in part.sV]
+        for vertex in part.sV:
+            vertex.data.x, vertex.data.y = vertex.view.xy
+        shift = left - min(box.x - box.width / 2 for box in placed)
+        top = min(box.y - box.height / 2 for box in placed)
+        for box in placed:
+            box.x, box.y = box.x + shift, box.y - top
+        for edge in part.sE:
+            wire, forward = edge.data
+            inner = [(x + shift, y - top) for x, y in edge.view.points[1:-1]]
+            wire.points = [(wire.start.x, wire.start.y), *(inner if forward else inner[::-1]), (wire.end.x, wire.end.y)]
+        left = max(box.x + box.width / 2 for box in placed) + _GAP
+        height = max(height, *(box.y + box.height / 2 for box in placed))
+    _attach(wires)
+    return left - _GAP, height
+
+
+def _attach(wires: list[Wire]) -> None:
+    """Let the wires end side by side on the upper and lower edges of their boxes, in the order of where they go."""
+    sides: dict[tuple[int, bool], list[tuple[float, Wire, int]]] = {}
+    for wire in wires:
+        for box, at, towards in ((wire.start, 0, 1), (wire.end, -1, -2)):
+            x, y = wire.points[towards]
+            sides.setdefault((id(box), y > box.y), []).append((x, wire, at))
+    for (_, below), ends in sides.items():
+        ends.sort(key=lambda end: end[0])
+        for i, (_, wire, at) in enumerate(ends):
+            box = wire.start if at == 0 else wire.end
+            x = box.x - box.width / 2 + box.width * (i + 1) / (len(ends) + 1)
+            wire.points[at] = (x, box.y + (box.height / 2 if below else -box.height / 2))
