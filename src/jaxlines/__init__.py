@@ -30,6 +30,11 @@ if TYPE_CHECKING:  # the public names; each is imported when it is first used (s
         Vessel as Vessel,
         ViscoelasticHose as ViscoelasticHose,
     )
+    from jaxlines.physics.controllers import (
+        PIController as PIController,
+        PIDController as PIDController,
+        SampledController as SampledController,
+    )
     from jaxlines.physics.cylinders import (
         DoubleRodCylinder as DoubleRodCylinder,
         RotaryActuator as RotaryActuator,
@@ -115,12 +120,15 @@ if TYPE_CHECKING:  # the public names; each is imported when it is first used (s
         VitkovskyTurbulentWeights as VitkovskyTurbulentWeights,
         VitkovskyWeights as VitkovskyWeights,
     )
+    from jaxlines.simulation.audit import audit as audit
     from jaxlines.simulation.circuit import Circuit as Circuit
     from jaxlines.simulation.integration import implicit as implicit
     from jaxlines.simulation.line_response import line_response as line_response
+    from jaxlines.simulation.linear import linearise as linearise
     from jaxlines.simulation.segments import choose_segments as choose_segments
     from jaxlines.simulation.signals import Constant as Constant, Sampled as Sampled, Sine as Sine, Step as Step
     from jaxlines.simulation.simulate import simulate as simulate
+    from jaxlines.simulation.steady import steady_state as steady_state
 
 
 @functools.cache

@@ -71,10 +71,13 @@ class Builder:
             raise StudyError(f"{where}: {error}") from error
 
     def numbers(self, value, metadata: dict, where: str):
-        """A number, or an array of them from a list."""
+        """A number, or an array of them from a list or a list of lists."""
         if not isinstance(value, list):
             return self.number(value, metadata, where)
-        return np.asarray([self.number(item, metadata, f"{where}.{i}") for i, item in enumerate(value)])
+        rows = [self.numbers(item, metadata, f"{where}.{i}") for i, item in enumerate(value)]
+        if len({np.shape(row) for row in rows}) > 1:
+            raise StudyError(f"{where}: the rows of a table must be of one length")
+        return np.asarray(rows)
 
     def driven(self, value, metadata: dict, where: str):
         """A number, the name of an input from {input = "..."}, or a signal from {step = {...}}."""

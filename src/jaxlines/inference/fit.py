@@ -36,7 +36,7 @@ def _measured_start(circuit: Circuit, recording: Recording, name: str) -> Measur
     """The start value of a quantity from the channel that shows it, or from a sensor that reads it."""
     shown = {name: (0.0, 1.0)}
     for sensor_name, sensor in circuit.sensors().items():
-        if sensor.quantity_read() == name:
+        if sensor.quantity_read() == name and sensor.quantity_subtracted() is None:
             zero, slope = float(sensor.read(0.0, circuit.fluid)), float(sensor.slope(circuit.fluid))
             shown[sensor_name] = (zero, slope)
     for channel, (zero, slope) in shown.items():
