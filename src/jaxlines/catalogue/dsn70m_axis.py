@@ -53,9 +53,6 @@ TRACKING_RATE = np.radians(360.0 / 86164.0)
 SLEWING_RATE = np.radians(0.25)
 """Slewing rate [rad/s of the axis]; assumed."""
 
-START = {"A.pressure": 10e6, "B.pressure": 10e6}
-"""About half the supply on both sides [Pa]; of a segmented axis also at the valve, see `start`."""
-
 
 def equivalent_conduit(name: str) -> Hose:
     """One conduit with length, volume and effective modulus of a control line; its bore follows (41 mm).
@@ -71,11 +68,6 @@ def equivalent_conduit(name: str) -> Hose:
 def motor_speed(axis_rate):
     """Speed of the motors [rad/s] that belongs to a rate of the axis [rad/s]."""
     return ASSUMED["gear.ratio"] * axis_rate
-
-
-def start(segments: int | None) -> dict[str, float]:
-    """Pressures from which to start, by name."""
-    return START if segments is None else START | {f"{node}_valve.pressure": START[f"{node}.pressure"] for node in "AB"}
 
 
 def _given(kind: str) -> dict[str, float]:

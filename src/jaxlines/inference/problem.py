@@ -11,6 +11,7 @@ from jaxlines.inference.parameters import Free, Known
 from jaxlines.inference.recording import Recording
 from jaxlines.simulation.assembly import Location, compile_circuit, number_locations, set_numbers
 from jaxlines.simulation.circuit import Circuit, field_metadata
+from jaxlines.simulation.inputs import bind_inputs
 from jaxlines.simulation.integration import Method, integrate, integrate_with_sensitivities
 from jaxlines.simulation.observation import quantities, sensor_units
 from jaxlines.simulation.paths import replace_leaves, resolve
@@ -19,7 +20,6 @@ from jaxlines.simulation.precision import cast, computing_in
 from jaxlines.simulation.result import MESSAGES, STATUS
 from jaxlines.simulation.segments import choose_segments
 from jaxlines.simulation.signals import Sampled
-from jaxlines.simulation.simulate import bind_inputs
 
 
 def bucket(size: int) -> int:

@@ -6,10 +6,9 @@ import diffrax
 import jax
 import numpy as np
 
-from jaxlines.physics.controllers import AbstractController
-from jaxlines.physics.fields import AbstractSignal, check_range, driven_of
 from jaxlines.simulation.assembly import compile_circuit
 from jaxlines.simulation.circuit import Circuit
+from jaxlines.simulation.inputs import bind_inputs
 from jaxlines.simulation.integration import integrate, make_method
 from jaxlines.simulation.observation import quantities, sensor_units, shown_by_default
 from jaxlines.simulation.paths import resolve
@@ -17,44 +16,12 @@ from jaxlines.simulation.plan import Plan
 from jaxlines.simulation.precision import cast, computing_in, is_traced
 from jaxlines.simulation.result import Simulation
 from jaxlines.simulation.segments import choose_segments
-from jaxlines.simulation.signals import Constant, Sampled, Step, as_signal
+from jaxlines.simulation.steady import steady_state
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1, 2))
 def _run(plan, wanted, method, values, times, tolerance):
     return integrate(plan, wanted, method, values, times, tolerance)
-
-
-_LEVELS = {Sampled: ("values",), Constant: ("value",), Step: ("before", "after")}
-"""Fields of a signal that hold values which it takes."""
-
-
-def _needed_inputs(circuit: Circuit) -> dict[str, list[tuple[str, str]]]:
-    """The external inputs that are no controllers."""
-    named = circuit.external_inputs().items()
-    return {n: p for n, p in named if not isinstance(circuit.components.get(n), AbstractController)}
-
-
-def bind_inputs(circuit: Circuit, inputs: dict | None, times) -> dict[str, AbstractSignal]:
-    """The external inputs of a circuit as signals, checked: all there, none too many, values in range."""
-    needed, inputs = _needed_inputs(circuit), dict(inputs or {})
-    missing, unknown = sorted(set(needed) - set(inputs)), sorted(set(inputs) - set(needed))
-    if missing:
-        component, field = needed[missing[0]][0]
-        raise ValueError(
-            f"the circuit needs an input {missing[0]!r} (it drives {component}.{field}); "
-            f"given: {sorted(inputs) or 'none'}"
-        )
-    if unknown:
-        raise ValueError(f"the circuit has no input {unknown[0]!r}; it has {sorted(needed) or 'none'}")
-    bound = {name: as_signal(value, times) for name, value in inputs.items()}
-    for name, places in needed.items():
-        signal = bound[name]
-        for component, field in places:
-            metadata = driven_of(circuit.components[component])[field]
-            for level in _LEVELS.get(type(signal), ()):
-                check_range(f"input {name!r} ({component}.{field})", getattr(signal, level), metadata)
-    return bound
 
 
 def _wanted(circuit: Circuit, plan: Plan, outputs) -> dict[str, str]:
@@ -75,12 +42,21 @@ def _checked_times(times):
     return times
 
 
+def _start(circuit: Circuit, bound: dict, times, initial: dict | str | None, precision: str) -> dict | None:
+    """The start values by name, those of the steady state when that is asked for."""
+    if not isinstance(initial, str):
+        return initial
+    if initial != "steady":
+        raise ValueError(f'initial must be a table of start values or "steady", got {initial!r}')
+    return steady_state(circuit, bound, time=times[0], precision=precision).initial
+
+
 def simulate(
     circuit: Circuit,
     times,
     inputs: dict | None = None,
     *,
-    initial: dict | None = None,
+    initial: dict | str | None = None,
     outputs=None,
     solver: diffrax.AbstractSolver | None = None,
     tolerance: float = 1e-7,
@@ -98,7 +74,8 @@ def simulate(
         times: where to save [s], shape (times,), strictly increasing; the simulation starts at the first.
         inputs: name -> number, samples at `times` (joined linearly) or signal, for the external inputs.
         initial: name of a potential or state -> start value in SI, such as {"A.pressure": 2e6}; others start
-            at atmospheric pressure, at rest, at zero.
+            at atmospheric pressure, at rest, at zero. "steady" starts from the `steady_state` of the inputs as
+            they are at the first time.
         outputs: names of sensors and quantities ("A.pressure", "leak.a.flow"); by default all sensors,
             potentials and states.
 
@@ -121,6 +98,7 @@ def simulate(
     traced = is_traced(circuit, times, inputs, initial)
     with computing_in(precision, circuit, times, inputs, initial):
         bound = bind_inputs(circuit, inputs, times)
+        initial = _start(circuit, bound, times, initial, precision)
         circuit = choose_segments(circuit, times, bound, initial=initial, highest_frequency=highest_frequency)
         plan, values = compile_circuit(circuit, initial, bound)
         wanted = _wanted(circuit, plan, outputs)

@@ -15,13 +15,13 @@ from jaxlines.physics.fields import HYDRAULIC, AbstractSignal, External, driven_
 from jaxlines.simulation.assembly import compile_circuit
 from jaxlines.simulation.balance import Linear, balanced_state, imbalance
 from jaxlines.simulation.circuit import Circuit
+from jaxlines.simulation.inputs import bind_inputs
 from jaxlines.simulation.observation import observe, quantities, sensor_units
 from jaxlines.simulation.paths import resolve
 from jaxlines.simulation.plan import Plan, Values, initial_names, ravel, scales, unravel
 from jaxlines.simulation.precision import cast, computing_in, is_traced
 from jaxlines.simulation.segments import choose_segments
 from jaxlines.simulation.signals import Constant
-from jaxlines.simulation.simulate import bind_inputs
 from jaxlines.simulation.vector_field import starting_point
 
 
