@@ -34,12 +34,14 @@ class AbstractController(AbstractComponent):
 
 
 class AbstractSampledController(AbstractController):
-    """A controller whose states change only at its sampling instants, the start and every `period` [s] after it.
+    """A controller whose states change only at its sampling instants, the start and every period after it.
 
     Between them everything is held, so that its output is one of its states.
     """
 
-    period: eqx.AbstractVar[Number]
+    @abstractmethod
+    def sampling_period(self) -> Number:
+        """Time from one instant to the next [s]."""
 
     @abstractmethod
     def sampled(self, at: Situation) -> dict:
@@ -233,6 +235,9 @@ class SampledController(AbstractSampledController):
 
     def output(self, at: Situation):
         return at.state["output"]
+
+    def sampling_period(self):
+        return self.period
 
     def sampled(self, at: Situation) -> dict:
         measured, h, xp = at.given["measured"], self.period, array_module(at)

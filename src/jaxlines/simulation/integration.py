@@ -122,14 +122,16 @@ def _status(result, outputs, lowest, fluid):
     return jnp.where(result == diffrax.RESULTS.successful, code, failed)
 
 
-def _controller(values: Values, tolerance, max_step: float | None) -> diffrax.AbstractStepSizeController:
-    """Adaptive steps that end on every jump and kink of the inputs.
+def _controller(values: Values, tolerance, max_step: float | None, clock: Clock | None):
+    """Adaptive steps that end on every jump and kink of the inputs, and at every sampling instant.
 
     A step across samples of a noisy input can pass the error test by luck; ending on the samples makes the
     field smooth within each step, so that the tolerance means what it says. Where steps end does not change the
     solution, so that these times carry no derivative (it would grow from step to step).
     """
     controller = diffrax.PIDController(rtol=tolerance, atol=tolerance, pcoeff=0.3, icoeff=0.3, dtmax=max_step)
+    if clock is not None:
+        controller = SamplingSteps(controller, clock)  # pyright: ignore[reportCallIssue]
     signals = values.every_signal()
     jumps = [jnp.ravel(s.jump_times()) for s in signals if np.size(s.jump_times())]
     knots = [jnp.ravel(s.knot_times()) for s in signals if np.size(s.knot_times())]
@@ -154,10 +156,9 @@ class Run(NamedTuple):
 
 def _solve(method: Method, adjoint, run: Run, values: Values, clock: Clock | None, times, tolerance):
     """diffrax with everything that the two ways of integrating share: solution, what was shown at times, and late."""
-    solver, controller, end = method.solver, _controller(values, tolerance, method.max_step), times[-1]
+    solver, end = method.solver, times[-1]
     if clock is not None:
-        solver = SamplingSolver(solver, run.sample, clock)
-        controller, end = SamplingSteps(controller, clock), end + clock.after
+        solver, end = SamplingSolver(solver, run.sample, clock), end + clock.margin
     subs = [diffrax.SubSaveAt(ts=times, fn=lambda t, y, args: run.show(t, y))]
     for late, delay in run.late.values():
         earlier = jax.lax.stop_gradient(jnp.maximum(times - delay, times[0]))
@@ -170,7 +171,7 @@ def _solve(method: Method, adjoint, run: Run, values: Values, clock: Clock | Non
         dt0=None,
         y0=run.start,
         saveat=diffrax.SaveAt(subs=subs),
-        stepsize_controller=controller,
+        stepsize_controller=_controller(values, tolerance, method.max_step, clock),
         adjoint=adjoint,
         max_steps=method.max_steps,
         throw=False,

@@ -8,7 +8,6 @@ from typing import Any
 
 import diffrax
 import equinox as eqx
-import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 
@@ -20,7 +19,7 @@ from jaxlines.simulation.signals import jump_time
 def clock_of(plan: Plan, values: Values, start) -> "Clock | None":
     """The instants of the sampled controllers of a circuit; None when it has none."""
     sampled = [values.kinds[controller.kind] for controller in plan.controllers if controller.sampled]
-    periods = [jnp.ravel(law.period) for law in sampled if isinstance(law, AbstractSampledController)]
+    periods = [jnp.ravel(law.sampling_period()) for law in sampled if isinstance(law, AbstractSampledController)]
     return Clock(start, jump_time(jnp.concatenate(periods))) if periods else None
 
 
@@ -30,32 +29,34 @@ class Clock(eqx.Module):
     start: Any
     periods: Any
 
+    def _blur(self, t):
+        """Times so close are one, however they were rounded: a knot of an input, a saved time, an instant."""
+        return 32.0 * jnp.finfo(jnp.result_type(t)).eps * jnp.maximum(jnp.abs(t), jnp.abs(self.start))
+
     def due(self, t, period):
-        """Whether t is a sampling instant after the start, up to rounding."""
+        """Whether t is a sampling instant after the start."""
         period = jump_time(period)
         count = jnp.round((t - self.start) / period)
-        return (count > 0.0) & (jnp.abs(t - self.start - count * period) <= _rounding(t, self.start))
-
-    def before(self, instant):
-        """Where the step before an instant ends: what is saved at the instant, up to rounding, is what was sampled."""
-        return instant - 2.0 * _rounding(instant, self.start)
-
-    @property
-    def after(self):
-        """A time that is short against all periods [s]."""
-        return 0.125 * jnp.min(self.periods)
+        return (count > 0.0) & (jnp.abs(t - self.start - count * period) <= 1.5 * self._blur(t))
 
     def next(self, t):
         """The first instant of any controller after t."""
         count = jnp.round((t - self.start) / self.periods)
-        instant = self.start + count * self.periods
-        late = instant > t + _rounding(t, self.start)
+        late = self.start + count * self.periods > t + 0.5 * self._blur(t)
         return jnp.min(self.start + (count + jnp.where(late, 0.0, 1.0)) * self.periods)
 
+    def around(self, instant):
+        """Where the step before an instant ends and the one after it begins; nothing happens in between."""
+        return instant - self._blur(instant), instant + self._blur(instant)
 
-def _rounding(t, start):
-    """By how much an instant may be off for its rounding; far less than any step."""
-    return 16.0 * jnp.finfo(jnp.result_type(t)).eps * jnp.maximum(jnp.abs(t), jnp.abs(start))
+    def shortest(self, t):
+        """Length of a step that leaves an instant behind, so that it is not met again [s]."""
+        return 4.0 * self._blur(t)
+
+    @property
+    def margin(self):
+        """A time that is short against all periods [s]."""
+        return 0.125 * jnp.min(self.periods)
 
 
 class SamplingSolver(diffrax.AbstractWrappedSolver):
@@ -111,10 +112,9 @@ class SamplingSolver(diffrax.AbstractWrappedSolver):
 
 
 class SamplingSteps(diffrax.AbstractAdaptiveStepSizeController):
-    """Step sizes of another controller, cut so that steps end just before sampling instants and begin at them.
+    """Step sizes of another controller, cut so that steps end just before sampling instants and begin just after them.
 
-    The value at an instant belongs to the step that begins there, so that what is saved at an instant is what was
-    sampled.
+    What is saved at an instant belongs to the step that begins there: it is what was sampled.
     """
 
     controller: diffrax.AbstractAdaptiveStepSizeController
@@ -133,19 +133,19 @@ class SamplingSteps(diffrax.AbstractAdaptiveStepSizeController):
         return self.controller.norm
 
     def wrap(self, direction):
-        return SamplingSteps(self.controller.wrap(direction), self.clock)
+        return SamplingSteps(self.controller.wrap(direction), self.clock)  # pyright: ignore[reportCallIssue]
 
     def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
         t1, state = self.controller.init(terms, t0, t1, y0, dt0, args, func, error_order)
-        return jnp.minimum(t1, self.clock.before(self.clock.next(t0))), state
+        return jnp.minimum(t1, self.clock.around(self.clock.next(t0))[0]), state
 
     def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
         keep, next_t0, next_t1, made_jump, state, result = self.controller.adapt_step_size(
             t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
         )
-        instant = self.clock.next(t0)
-        arrived = keep & (next_t0 < instant) & (next_t0 >= self.clock.before(instant))
-        next_t0 = jnp.where(arrived, instant, next_t0)
-        next_t1 = jnp.maximum(next_t1, eqxi.nextafter(next_t0))
-        next_t1 = jnp.minimum(next_t1, self.clock.before(self.clock.next(next_t0)))
+        before, after = self.clock.around(self.clock.next(t0))
+        arrived = keep & (next_t0 >= before)
+        next_t0 = jnp.where(arrived, after, next_t0)
+        next_t1 = jnp.where(arrived, jnp.maximum(next_t1, after + self.clock.shortest(after)), next_t1)
+        next_t1 = jnp.minimum(next_t1, self.clock.around(self.clock.next(next_t0))[0])
         return keep, next_t0, next_t1, made_jump | arrived, state, result

@@ -12,7 +12,7 @@ from jaxlines.physics.component import Contribution, Situation
 from jaxlines.physics.controllers import AbstractController, AbstractSampledController
 from jaxlines.physics.fields import AbstractSignal, driven_of
 from jaxlines.simulation.plan import Incidence, Plan, Quantity, Reading, SensorPlan, Values
-from jaxlines.simulation.quantities import pick
+from jaxlines.simulation.quantities import FEW, pick, take
 
 
 class Sight(NamedTuple):
@@ -48,7 +48,7 @@ def _given(plan: Plan, values: Values, k: int, t, inputs) -> dict:
     """The driven fields of kind k at time t: numbers, signals of its own, or inputs."""
     packed = values.kinds[k]
     given = {field: getattr(packed, field) for field in driven_of(packed)} | _own_signals(packed, t)
-    return given | {field: inputs[np.asarray(index)] for field, index in plan.kinds[k].signals}
+    return given | {field: take(inputs, index) for field, index in plan.kinds[k].signals}
 
 
 def frozen(values: Values, t) -> Values:
@@ -66,12 +66,12 @@ def _look(plan: Plan, values: Values, t, potentials, states, inputs, read: dict)
     given = [_given(plan, values, k, t, inputs) | read.get(k, {}) for k in range(len(values.kinds))]
     fixed, seen = _fixed_potentials(plan, given), []
     for k, kind in enumerate(plan.kinds[: len(values.kinds)]):
-        at_ports = {p.name: (fixed if p.fixed else potentials)[np.asarray(p.index)] for p in kind.ports}
+        at_ports = {p.name: take(fixed if p.fixed else potentials, p.index) for p in kind.ports}
         seen.append(Situation(values.fluid, at_ports, states[k], given[k]))
     return Sight(inputs, fixed, seen)
 
 
-def array_of(sight: Sight, potentials, states, flow_of: Callable) -> Callable[[Quantity], Any]:
+def array_of(sight: Sight, potentials, states, flow_of: Callable[[int], dict]) -> Callable[[Quantity], Any]:
     """What gives the array that holds a quantity; flow_of(kind, port): mass flow, torque or force into the nodes."""
 
     def find(place: Quantity):
@@ -121,7 +121,7 @@ def look(plan: Plan, values: Values, t, potentials, states) -> Sight:
         sight, k = _look(plan, values, t, potentials, states, inputs, read), controller.kind
         law = values.kinds[k]
         assert isinstance(law, AbstractController)
-        read[k] = _readings(values, controller.readings, array_of(sight, potentials, states, dict))
+        read[k] = _readings(values, controller.readings, array_of(sight, potentials, states, lambda k: {}))
         output = law.output(sight.seen[k]._replace(given=sight.seen[k].given | read[k]))
         inputs = inputs.at[np.asarray(controller.outputs)].set(output)
     return _look(plan, values, t, potentials, states, inputs, read)
@@ -179,7 +179,7 @@ def sampled(plan: Plan, values: Values, t, due, potentials, states) -> tuple[dic
     for k in kinds:
         law = values.kinds[k]
         assert isinstance(law, AbstractSampledController)
-        now, new = due(law.period), law.sampled(seen[k])
+        now, new = due(law.sampling_period()), law.sampled(seen[k])
         states[k] = {name: jnp.where(now, new[name], old) for name, old in states[k].items()}
     return tuple(states)
 
@@ -188,6 +188,10 @@ def _sum_at_nodes(done: list[dict], incidence: Incidence):
     """Sum of the terms of each node, shape (nodes, [lanes])."""
     terms = [done[k][port] for k, port in incidence.ports]
     flat = jnp.concatenate([*terms, jnp.zeros_like(terms[0][:1])])
+    if len(incidence.order) <= FEW:
+        zero = flat.shape[0] - 1
+        rows = [[i for i in row if i < zero] or [zero] for row in incidence.tables[0]]
+        return jnp.stack([sum(flat[i] for i in row[1:]) + flat[row[0]] for row in rows])
     sums = [flat[np.asarray(table)].sum(axis=1) for table in incidence.tables]
     return sums[0] if len(sums) == 1 else jnp.concatenate(sums)[np.asarray(incidence.order)]
 
