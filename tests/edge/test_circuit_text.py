@@ -90,8 +90,8 @@ def test_a_fluid_with_everything_else():
 @pytest.mark.parametrize("signal", READABLE, ids=lambda s: type(s).__name__)
 def test_signals(signal):
     assert {type(s) for s in SIGNALS} == set(_kinds(AbstractSignal).values())
-    parts = {"supply": jl.PressureSource("P", signal), "orifice": jl.Orifice("P", "T", signal)}
-    same(jl.Circuit(OIL, parts | {"tank": jl.Tank("T", signal)}))
+    parts: dict = {"supply": jl.PressureSource("P", signal), "orifice": jl.Orifice("P", "T", signal)}
+    same(jl.Circuit(OIL, {**parts, "tank": jl.Tank("T", signal)}))
 
 
 def test_sensors_and_names():

@@ -118,7 +118,7 @@ def test_colours_by_domain_and_for_given_potentials(drawn):
 
 
 def test_separate_circuits_stand_side_by_side_and_a_file_stands_alone():
-    parts = {f"{k}{i}": jl.Line(f"N{i}", jl.Vessel(1e-3)) for i in range(3) for k in ("first", "second")}
+    parts: dict = {f"{k}{i}": jl.Line(f"N{i}", jl.Vessel(1e-3)) for i in range(3) for k in ("first", "second")}
     circuit = jl.Circuit(OIL, parts)
     boxes = Drawn(circuit).boxes
     spans = [[boxes[name] for name in (f"first{i}", f"second{i}", f"N{i}")] for i in range(3)]
@@ -130,13 +130,13 @@ def test_separate_circuits_stand_side_by_side_and_a_file_stands_alone():
 
 
 def test_a_loop_and_a_network_of_two_hundred_lines_are_drawn():
-    ring = {f"orifice{i}": jl.Orifice(f"N{i}", f"N{(i + 1) % 5}", 1e-6) for i in range(5)}
+    ring: dict = {f"orifice{i}": jl.Orifice(f"N{i}", f"N{(i + 1) % 5}", 1e-6) for i in range(5)}
     ring |= {f"volume{i}": jl.Line(f"N{i}", jl.Vessel(1e-3)) for i in range(5)}
     assert len(Drawn(jl.Circuit(OIL, ring)).wires) == 15
     pipe = jl.Pipe(1.0, 0.01, 0.014)
-    net = {f"pipe{i}": jl.Line(f"N{i // 2}", pipe, to=f"N{i + 1}", segments=2) for i in range(200)}
+    net: dict = {f"pipe{i}": jl.Line(f"N{i // 2}", pipe, to=f"N{i + 1}", segments=2) for i in range(200)}
     begun = time.perf_counter()
-    svg = circuit_svg(jl.Circuit(OIL, net | {"supply": jl.PressureSource("N0", 1e7)}))
+    svg = circuit_svg(jl.Circuit(OIL, {**net, "supply": jl.PressureSource("N0", 1e7)}))
     assert svg.count("<rect") == 402
     assert time.perf_counter() - begun < 20.0
-    assert svg == circuit_svg(jl.Circuit(OIL, net | {"supply": jl.PressureSource("N0", 1e7)}))
+    assert svg == circuit_svg(jl.Circuit(OIL, {**net, "supply": jl.PressureSource("N0", 1e7)}))

@@ -5,6 +5,7 @@ import pytest
 
 import jaxlines as jl
 from jaxlines.physics.containers import volume_at
+from jaxlines.physics.controllers import SampledController
 from jaxlines.simulation.audit import audit
 from jaxlines.simulation.ledger import GAUSS, KRONROD, NODES, inner_nodes, integrate_nodes, panel_times, slopes_at_nodes
 
@@ -127,13 +128,28 @@ def test_momentum_and_energy_of_a_shaft():
     assert "momentum at shaft: stored 2.15915 N*m*s" in done.sentences()[0]
 
 
+def test_a_sampled_loop_balances_between_its_instants():
+    parts = {
+        "inertia": jl.Inertia("shaft", 2.0),
+        "damper": jl.RotaryDamper("shaft", 4.0),
+        "drive": jl.LoadTorque("shaft", "loop"),
+        "loop": SampledController("shaft.speed", 0.03, 1.5, 10.0, 30.0),
+    }
+    sim = jl.simulate(jl.Circuit(ARTICLE, parts), np.linspace(0.0, 0.5, 6), tolerance=1e-8)
+    done = audit(sim, tolerance=1e-8)
+    assert done.deviation < 1e-9
+    assert done.worst().relative_error < 1e-8 and done.worst().audit_error < 1e-8
+    assert done.nodes[0].stored == pytest.approx(2.0 * sim["shaft.speed"][-1], rel=1e-9)
+    assert done.delivered["damper"] < -1.0
+
+
 def test_a_start_that_was_not_saved_must_be_given():
-    line = {
+    line: dict = {
         "pump": jl.FlowSource("A", 1e-5),
         "line": jl.Line("A", jl.Vessel(1e-3)),
         "drain": jl.LaminarLeak("A", "T", 1e-12),
     }
-    circuit = jl.Circuit(AIRY, line | {"tank": jl.Tank("T")})
+    circuit = jl.Circuit(AIRY, {**line, "tank": jl.Tank("T")})
     sim = jl.simulate(circuit, [0.0, 0.1], initial={"A.pressure": 3e5}, outputs=["drain.a.flow"])
     with pytest.raises(ValueError, match=r"the start value of A\.pressure, which was not saved"):
         audit(sim)

@@ -8,7 +8,7 @@ import jaxlines as jl
 from jaxlines.catalogue.dsn70m_drive import axis_drive
 
 OIL = jl.Oil(1.379e9, 850.0)
-VOLUME = {"line": jl.Line("A", jl.Vessel(1e-3))}
+VOLUME: dict = {"line": jl.Line("A", jl.Vessel(1e-3))}
 
 
 @pytest.mark.parametrize(

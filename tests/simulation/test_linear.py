@@ -6,6 +6,7 @@ import pytest
 
 import jaxlines as jl
 from jaxlines.catalogue.dsn70m_drive import axis_drive
+from jaxlines.physics.controllers import PIController, SampledController
 from jaxlines.simulation.frequency import closed_end, input_impedance, line_matrix, transfer_impedance
 from jaxlines.simulation.linear import linearise
 from jaxlines.simulation.steady import steady_state
@@ -128,6 +129,23 @@ def test_sensors_and_inputs_that_pass_straight_through():
     assert linear.eigenvalues() == pytest.approx([-4e-11 * BETA / 1e-3], rel=1e-9)
 
 
+def test_a_closed_loop():
+    """J s^2 + (B + k_p) s + k_i: an inertia with damping under a proportional-integral controller."""
+    parts = {
+        "inertia": jl.Inertia("shaft", 2.0),
+        "damper": jl.RotaryDamper("shaft", 4.0),
+        "drive": jl.LoadTorque("shaft", "loop"),
+        "loop": PIController("shaft.speed", "demand", 10.0, 300.0),
+    }
+    linear = linearise(jl.Circuit(OIL, parts), {"demand": 1.0}, outputs=["shaft.speed"])
+    (mode,) = linear.modes()
+    assert mode.natural_frequency == pytest.approx(np.sqrt(150.0), rel=1e-9)
+    assert mode.damping_ratio == pytest.approx(14.0 / (2 * np.sqrt(600.0)), rel=1e-9)
+    s = 2j * np.pi * 3.0
+    closed = (10.0 * s + 300.0) / (2.0 * s * s + 14.0 * s + 300.0)
+    assert linear.frequency_response(3.0, "shaft.speed", "demand") == pytest.approx(closed, rel=1e-9)
+
+
 def test_the_drive_at_speed():
     circuit = axis_drive("azimuth")
     steady = steady_state(circuit, {"spool": 0.5})
@@ -138,7 +156,7 @@ def test_the_drive_at_speed():
     assert spool[0].damping_ratio == pytest.approx(0.7, rel=1e-9)
     up, down = (steady_state(circuit, {"spool": 0.5 + h}).initial["shaft.speed"] for h in (1e-4, -1e-4))
     slope = linear.frequency_response(0.0, "shaft.speed", "spool")
-    assert slope.real == pytest.approx((up - down) / 2e-4, rel=1e-6)
+    assert np.real(slope) == pytest.approx((up - down) / 2e-4, rel=1e-6)
     assert "damping 0.7 (servovalve.spool" in str(linear)
 
 
@@ -148,5 +166,9 @@ def test_wrong_calls():
         linearise(circuit, inputs, at={}, outputs=["C.pressure"])
     with pytest.raises(KeyError, match="no input is called 'spoool'; did you mean spool"):
         linearise(circuit, inputs, at={}, input_names=["spoool"])
+    parts: dict = {"inertia": jl.Inertia("shaft", 2.0), "drive": jl.LoadTorque("shaft", "loop")}
+    loop = SampledController("shaft.speed", 0.02, 1.5, 10.0)
+    with pytest.raises(ValueError, match="'loop' is sampled, so that the circuit has no linear differential"):
+        linearise(jl.Circuit(OIL, {**parts, "loop": loop}), at={})
     with jax.enable_x64(True), pytest.raises(TypeError, match="outside of code that JAX traces"):
         jax.grad(lambda j: linearise(circuit.replace({"inertia.moment_of_inertia": j}), inputs).a[0, 0])(40.0)

@@ -5,6 +5,7 @@ The layout itself is grandalf's; what is said here is which way each wire points
 
 import dataclasses
 from collections.abc import Iterable
+from typing import Any
 
 
 @dataclasses.dataclass
@@ -38,6 +39,22 @@ _GAP, _LAYER = 34.0, 58.0
 _ROUNDS = 12
 
 
+class _View:
+    """What the layout wants to know of a box."""
+
+    def __init__(self, box: Box):
+        self.w, self.h, self.xy = box.width, box.height, (0.0, 0.0)
+
+
+class _Path:
+    """What the layout tells of a wire: where its layers are crossed."""
+
+    points: list
+
+    def setpath(self, points):
+        self.points = list(points)
+
+
 def lay_out(boxes: Iterable[Box], wires: list[Wire]) -> tuple[float, float]:
     """Place boxes and wires; returns width and height of the drawing.
 
@@ -45,49 +62,46 @@ def lay_out(boxes: Iterable[Box], wires: list[Wire]) -> tuple[float, float]:
     Trans. Systems, Man, and Cybernetics 11, 1981.
     """
     from grandalf.graphs import Edge, Graph, Vertex
-    from grandalf.layouts import SugiyamaLayout
 
-    class View:
-        def __init__(self, box: Box):
-            self.w, self.h, self.xy = box.width, box.height, (0.0, 0.0)
-
-    class Path:
-        def setpath(self, points):
-            self.points = list(points)
-
-    vertices = {id(box): Vertex(box) for box in boxes}
+    vertices: dict[int, Any] = {id(box): Vertex(box) for box in boxes}
     for vertex in vertices.values():
-        vertex.view = View(vertex.data)
+        vertex.view = _View(vertex.data)
     edges = []
     for wire in wires:
         ends = (wire.start, wire.end)
         upper, lower = ends if wire.down or wire.start.weight <= wire.end.weight else ends[::-1]
-        edge = Edge(vertices[id(upper)], vertices[id(lower)], data=(wire, upper is wire.start))
-        edge.view = Path()
+        edge: Any = Edge(vertices[id(upper)], vertices[id(lower)], data=(wire, upper is wire.start))
+        edge.view = _Path()
         edges.append(edge)
     left = height = 0.0
     for part in Graph(list(vertices.values()), edges).C:
-        layout = SugiyamaLayout(part)
-        layout.xspace, layout.yspace = _GAP, _LAYER
-        layout.route_edge = lambda edge, points: None
-        roots = [vertex for vertex in part.sV if not vertex.e_in()] or [next(iter(part.sV))]
-        layout.init_all(roots=roots)
-        layout.draw(_ROUNDS)
-        placed = [vertex.data for vertex in part.sV]
-        for vertex in part.sV:
-            vertex.data.x, vertex.data.y = vertex.view.xy
-        shift = left - min(box.x - box.width / 2 for box in placed)
-        top = min(box.y - box.height / 2 for box in placed)
-        for box in placed:
-            box.x, box.y = box.x + shift, box.y - top
-        for edge in part.sE:
-            wire, forward = edge.data
-            inner = [(x + shift, y - top) for x, y in edge.view.points[1:-1]]
-            wire.points = [(wire.start.x, wire.start.y), *(inner if forward else inner[::-1]), (wire.end.x, wire.end.y)]
-        left = max(box.x + box.width / 2 for box in placed) + _GAP
-        height = max(height, *(box.y + box.height / 2 for box in placed))
+        width, tall = _place(part, left)
+        left, height = left + width + _GAP, max(height, tall)
     _attach(wires)
     return left - _GAP, height
+
+
+def _place(part, left: float) -> tuple[float, float]:
+    """Lay out one connected part of the graph with its left edge there; returns its width and height."""
+    from grandalf.layouts import SugiyamaLayout
+
+    layout: Any = SugiyamaLayout(part)
+    layout.xspace, layout.yspace, layout.route_edge = _GAP, _LAYER, lambda edge, points: None
+    layout.init_all(roots=[v for v in part.sV if not v.e_in()] or [next(iter(part.sV))])
+    layout.draw(_ROUNDS)
+    placed: list[Box] = []
+    for vertex in part.sV:
+        vertex.data.x, vertex.data.y = vertex.view.xy
+        placed.append(vertex.data)
+    shift = left - min(box.x - box.width / 2 for box in placed)
+    top = min(box.y - box.height / 2 for box in placed)
+    for box in placed:
+        box.x, box.y = box.x + shift, box.y - top
+    for edge in part.sE:
+        wire, forward = edge.data
+        inner = [(x + shift, y - top) for x, y in edge.view.points[1:-1]]
+        wire.points = [(wire.start.x, wire.start.y), *(inner if forward else inner[::-1]), (wire.end.x, wire.end.y)]
+    return max(box.x + box.width / 2 for box in placed) - left, max(box.y + box.height / 2 for box in placed)
 
 
 def _attach(wires: list[Wire]) -> None:

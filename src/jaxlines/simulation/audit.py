@@ -9,13 +9,15 @@ import jax
 import numpy as np
 
 from jaxlines.physics.component import DOMAINS
+from jaxlines.physics.controllers import AbstractSampledController
 from jaxlines.physics.fields import HYDRAULIC
 from jaxlines.simulation.assembly import compile_circuit
 from jaxlines.simulation.circuit import Circuit
 from jaxlines.simulation.ledger import inner_nodes, integrate_nodes, panel_edges, panel_times, see, slopes_at_nodes
-from jaxlines.simulation.plan import Plan, scales, unravel
+from jaxlines.simulation.plan import Plan, Values, scales, unravel
 from jaxlines.simulation.precision import computing_in
 from jaxlines.simulation.result import Simulation
+from jaxlines.simulation.sampling import clock_of
 from jaxlines.simulation.simulate import simulate
 from jaxlines.simulation.steady import state_labels
 
@@ -113,7 +115,8 @@ def audit(
     the net flow, both over the solver's dense output: their difference is the error that the solver made. Energy: that
     of flows (mass flow times the integral of dp/rho from atmosphere, torque times speed, force times velocity).
 
-    Args: simulation: a finished one; initial: start values, needed where the simulation did not save them all; solver,
+    Args: simulation: a finished one; initial: start values, needed where the simulation did not
+        save them all, and for sampled controllers that were given some; solver,
         tolerance, max_steps, max_step: as given to `simulate`.
     Raises: ValueError when a start value is neither saved nor given; RuntimeError when the run fails.
     Validity: the whole circuit's mass counts fluid inside components whose content is known (lines, accumulators,
@@ -123,7 +126,10 @@ def audit(
     with computing_in("float64"):
         start = _start(simulation, initial or {})
         plan, values = compile_circuit(simulation.circuit, start, simulation.inputs)
-        edges = panel_edges(simulation.circuit, simulation.times, simulation.inputs, int(simulation.num_steps))
+        clock = clock_of(plan, values, simulation.times[0])
+        periods = () if clock is None else np.unique(np.asarray(clock.periods))
+        steps = int(simulation.num_steps)
+        edges = panel_edges(simulation.circuit, simulation.times, simulation.inputs, periods, steps)
         again = simulate(
             simulation.circuit,
             panel_times(edges),
@@ -135,14 +141,17 @@ def audit(
             max_steps=max_steps,
             max_step=max_step,
         )
-        y = np.stack([again.outputs[label] for label in state_labels(plan)], axis=-1) / scales(plan)
-        seen = _seen(plan, values, again.times, y)
-        found = _balances(plan, simulation, edges, y, seen)
-        true = ()
-        fluid = values.fluid
-        if fluid.mass == "article" and not fluid.air.liquid_frozen:
-            real = eqx.tree_at(lambda v: v.fluid, values, dataclasses.replace(fluid, mass="conserved"))
-            true = tuple(b for b in _node_balances(plan, edges, y, _seen(plan, real, again.times, y)) if b.unit == "kg")
+        return _audited(simulation, again, plan, values, edges)
+
+
+def _audited(simulation: Simulation, again: Simulation, plan: Plan, values: Values, edges) -> Audit:
+    """The balances of a run that saved everything at the times of panels."""
+    y = np.stack([again.outputs[label] for label in state_labels(plan)], axis=-1) / scales(plan)
+    found = _balances(plan, simulation, edges, y, _seen(plan, values, again.times, y))
+    true, fluid = (), values.fluid
+    if fluid.mass == "article" and not fluid.air.liquid_frozen:
+        real = eqx.tree_at(lambda v: v.fluid, values, dataclasses.replace(fluid, mass="conserved"))
+        true = tuple(b for b in _node_balances(plan, edges, y, _seen(plan, real, again.times, y)) if b.unit == "kg")
     return Audit(*found, true, _deviation(simulation, again))
 
 
@@ -167,6 +176,8 @@ def _start(simulation: Simulation, given: dict) -> dict:
         if name not in given:
             start[name] = float(outputs[name][0])
     for name, part in simulation.circuit.parts().items():
+        if isinstance(part, AbstractSampledController):
+            continue  # it samples at the start: what was saved there has been sampled already
         for state in part.states_in(simulation.circuit.fluid):
             labels = [".".join([name, state.name, *map(str, own)]) for own in np.ndindex(state.shape)]
             if all(label in outputs for label in labels):

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlines.simulation.plan import Plan, Values, ravel, unravel
-from jaxlines.simulation.vector_field import contributions, rates
+from jaxlines.simulation.vector_field import contributions, rates, sampled
 
 _NEWTON_STEPS, _TRANSIENT_STEPS, _ATTEMPTS = 60, 400, 4
 _LARGEST_CHANGE, _SHORTEST = 20.0, 1e-5
@@ -45,11 +45,15 @@ def capacities(plan: Plan, values: Values, potentials, states):
 
 def unbalance(plan: Plan, values: Values, y):
     """g and M: net flow into each node (typical potential times SI capacity per second) or rate of each scaled state
-    [1/s]; capacities of the nodes, 1 for states."""
-    at = unravel(plan, y)
-    own = capacities(plan, values, *at)
+    [1/s]; capacities of the nodes, 1 for states. Of sampled controllers g is the change at a sampling instant."""
+    potentials, states = unravel(plan, y)
+    own = capacities(plan, values, potentials, states)
     weights = jnp.concatenate([own, jnp.ones(y.size - own.size, y.dtype)])
-    return weights * ravel(plan, *rates(plan, values, 0.0, *at)), weights
+    flow = weights * ravel(plan, *rates(plan, values, 0.0, potentials, states))
+    if any(controller.sampled for controller in plan.controllers):
+        after = sampled(plan, values, 0.0, lambda period: True, potentials, states)
+        flow = flow + ravel(plan, potentials, after) - y
+    return flow, weights
 
 
 class Linear(NamedTuple):

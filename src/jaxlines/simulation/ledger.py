@@ -34,13 +34,14 @@ KRONROD = np.asarray([*_KRONROD, 0.2094821410847278, *_KRONROD[::-1]])
 GAUSS = np.asarray([*_GAUSS, 0.4179591836734694, *_GAUSS[::-1]])
 
 
-def panel_edges(circuit: Circuit, times, inputs: dict, num_steps: int) -> np.ndarray:
-    """Edges of the panels: saved times, jumps and kinks of signals; twice as many as the solver made steps."""
+def panel_edges(circuit: Circuit, times, inputs: dict, periods, num_steps: int) -> np.ndarray:
+    """Edges of the panels: saved times, jumps and kinks of signals, sampling instants; two to a solver's step."""
     times, signals = np.asarray(times), list(inputs.values())
     for part in circuit.parts().values():
         own = [getattr(part, field) for field in driven_of(part)]
         signals += [value for value in own if isinstance(value, AbstractSignal) and not isinstance(value, External)]
     breaks = [np.ravel(kind) for s in signals for kind in (s.jump_times(), s.knot_times())]
+    breaks += [times[0] + period * np.arange(1, (times[-1] - times[0]) / period + 1) for period in periods]
     edges = np.unique(np.concatenate([times, *breaks]))
     edges = edges[(edges >= times[0]) & (edges <= times[-1])]
     keep = np.diff(edges, prepend=-np.inf) > 1e-9 * (times[-1] - times[0])

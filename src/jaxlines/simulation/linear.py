@@ -13,7 +13,7 @@ from jaxlines.simulation.assembly import compile_circuit
 from jaxlines.simulation.circuit import Circuit
 from jaxlines.simulation.observation import observe, quantities, sensor_units, shown_by_default
 from jaxlines.simulation.paths import resolve
-from jaxlines.simulation.plan import ravel, scales, unravel
+from jaxlines.simulation.plan import Plan, ravel, scales, unravel
 from jaxlines.simulation.precision import computing_in, is_traced
 from jaxlines.simulation.signals import Constant
 from jaxlines.simulation.steady import SteadyState, at_instant, state_labels, steady_state
@@ -65,23 +65,23 @@ class StateSpace:
     def eigenvalues(self) -> np.ndarray:
         """Eigenvalues of A [1/s], slowest first."""
         found = np.linalg.eigvals(self._scaled()[0])
-        return found[np.lexsort((found.imag, np.abs(found)))]
+        return found[np.lexsort((np.imag(found), np.abs(found)))]
 
     def is_stable(self) -> bool:
         """Whether every eigenvalue has a negative real part; what runs on freely (an angle) counts as not stable."""
-        return bool(np.all(self.eigenvalues().real < 0.0))
+        return bool(np.all(np.real(self.eigenvalues()) < 0.0))
 
     def modes(self) -> list[Mode]:
         """Eigenvalues with natural frequency, damping and the states that take part; one of each conjugate pair."""
         found, right = np.linalg.eig(self._scaled()[0])
         left = np.linalg.pinv(right)
         modes = []
-        for i in np.lexsort((found.imag, np.abs(found))):
-            if found[i].imag < 0.0:
+        for i in np.lexsort((np.imag(found), np.abs(found))):
+            if np.imag(found[i]) < 0.0:
                 continue
             size, part = abs(found[i]), np.abs(right[:, i] * left[i])
             most = [j for j in np.argsort(-part, kind="stable")[:3] if part[j] > 0.1 * np.max(part)]
-            damping = float(-found[i].real / size) if size > 0.0 else 1.0
+            damping = float(-np.real(found[i]) / size) if size > 0.0 else 1.0
             modes.append(Mode(complex(found[i]), float(size), damping, tuple(self.states[j] for j in most)))
         return modes
 
@@ -126,7 +126,8 @@ def linearise(
             potentials and states where there are none.
         input_names: external inputs to linearise in; all by default.
         time: at which all signals are taken [s].
-    Raises: as `steady_state`; TypeError in code that JAX traces; KeyError for an unknown output or input.
+    Raises: as `steady_state`; TypeError in code that JAX traces; ValueError for a sampled controller; KeyError for an
+        unknown output or input.
     Validity: small deviations; friction, laps and valves that switch have slopes that change within their widths.
     """
     if is_traced(circuit, inputs, at):
@@ -138,13 +139,18 @@ def linearise(
         settled, held = at_instant(circuit, inputs, time, initial)
         if isinstance(at, SteadyState):
             settled = at.circuit
-        plan, values = compile_circuit(settled, initial, held)
-        names = tuple(circuit.external_inputs()) if input_names is None else tuple(input_names)
-        names = tuple(resolve(name, circuit.external_inputs(), "input") for name in names)
-        units = {name: q.unit for name, q in quantities(plan).items()} | sensor_units(circuit, plan)
-        wanted = list(circuit.sensors()) or shown_by_default(plan) if outputs is None else outputs
-        wanted = tuple(resolve(name, units, "output") for name in wanted)
-        rate, shown, slopes = jax.tree.map(np.asarray, _slopes(plan, wanted, names, values))
+        return _equations(settled, initial, held, outputs, input_names)
+
+
+def _equations(circuit: Circuit, initial: dict, held: dict, outputs, input_names) -> StateSpace:
+    """The linear equations about initial values, with inputs that are constant."""
+    plan, values = compile_circuit(circuit, initial, held)
+    _refuse_sampled(plan)
+    names = tuple(resolve(name, held, "input") for name in (held if input_names is None else input_names))
+    units = {name: q.unit for name, q in quantities(plan).items()} | sensor_units(circuit, plan)
+    wanted = list(circuit.sensors()) or shown_by_default(plan) if outputs is None else outputs
+    wanted = tuple(resolve(name, units, "output") for name in wanted)
+    rate, shown, slopes = jax.tree.map(np.asarray, _slopes(plan, wanted, names, values))
     (a, b), (c, d) = slopes
     size = scales(plan)
     return StateSpace(
@@ -159,6 +165,17 @@ def linearise(
         dict(zip(wanted, map(float, shown), strict=True)),
         float(np.max(np.abs(rate), initial=0.0)),
     )
+
+
+def _refuse_sampled(plan: Plan) -> None:
+    """Raise ValueError for a sampled controller, whose output does not follow a differential equation."""
+    for controller in plan.controllers:
+        if controller.sampled:
+            name = plan.kinds[controller.kind].members[0]
+            raise ValueError(
+                f"{name!r} is sampled, so that the circuit has no linear differential equation: linearise it with a "
+                "continuous controller in its place, or with its output as an input"
+            )
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1, 2))
