@@ -55,17 +55,16 @@ def test_mass_flows_balance_with_air():
 
 
 def test_derivatives_are_those_of_the_closed_form():
-    circuit = divider()
+    circuit = divider(supply="supply")
 
     def found(x):
-        changed = circuit.replace({"in.area": x[0], "supply.pressure": x[1]})
-        return steady_state(changed).initial["A.pressure"]
+        return steady_state(circuit.replace({"in.area": x[0]}), {"supply": x[1]}).initial["A.pressure"]
 
     with jax.enable_x64(True):
         x = jnp.asarray([2e-6, 20e6])
         size = np.asarray([2e-6, 20e6])
         exact = lambda x: between(x[0], 3e-6, x[1])  # noqa: E731
-        value, slope = jax.jit(jax.value_and_grad(found))(x)
+        value, slope = jax.jit(jax.value_and_grad(found))(x)  # in reverse, through the input and a number
         assert float(value) == pytest.approx(float(exact(x)), rel=1e-9)
         np.testing.assert_allclose(size * slope, size * jax.grad(exact)(x), rtol=1e-7)
         scale = np.outer(size, size)
@@ -80,13 +79,10 @@ def test_many_at_once():
     np.testing.assert_allclose(lanes, between(areas, 3e-6, 20e6), rtol=1e-9)
 
 
-def test_an_input_is_taken_at_a_time_and_has_a_derivative():
+def test_an_input_is_taken_at_a_time():
     circuit = divider(supply="supply")
     signal = jl.Sampled([0.0, 1.0], [10e6, 20e6])
     assert steady_state(circuit, {"supply": signal}, time=0.5)["A.pressure"] == pytest.approx(between(2, 3, 15e6))
-    with jax.enable_x64(True):
-        slope = jax.grad(lambda p: steady_state(circuit, {"supply": p}).initial["A.pressure"])(20e6)
-    assert float(slope) == pytest.approx(4 / 13, rel=1e-8)
 
 
 @pytest.fixture(scope="module")

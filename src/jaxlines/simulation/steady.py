@@ -40,14 +40,14 @@ class SteadyState(eqx.Module):
     inputs: dict[str, Any]
     residual: Any
     free: tuple[str, ...] = eqx.field(static=True, default=())
-    drifting: dict[str, float] = eqx.field(static=True, default_factory=dict)
+    drifting: dict[str, Any] = eqx.field(default_factory=dict)
 
     def __getitem__(self, name: str):
         """A potential, state, flow or sensor reading in steady state, by name."""
         with computing_in("float64", self):
             plan, values = compile_circuit(self.circuit, self.initial, self.inputs)
             name = resolve(name, {**quantities(plan), **sensor_units(self.circuit, plan)}, "output")
-            shown = observe(plan, values, (name,), 0.0, *starting_point(plan, values, 0.0))[0]
+            shown = self.initial[name] if name in self.initial else _shown(plan, name, values)
         return shown if is_traced(self) else float(shown)
 
     def sentences(self) -> list[str]:
@@ -98,6 +98,12 @@ def steady_state(
         left = np.max(np.where(linear.drifting, 0.0, np.abs(linear.flow / linear.weights)), initial=0.0)
         named = jax.tree.map(np.asarray, _named(plan, jnp.asarray(y)))
         return SteadyState(named, circuit, jax.tree.map(np.asarray, held), left, free, drifting)
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1))
+def _shown(plan: Plan, name: str, values: Values):
+    """One output where a circuit starts."""
+    return observe(plan, values, (name,), 0.0, *starting_point(plan, values, 0.0))[0]
 
 
 def at_instant(circuit: Circuit, inputs: dict | None, time, initial: dict | None = None):
