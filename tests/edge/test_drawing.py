@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxlines as jl
+from jaxlines.catalogue.dsn70m_axis import antenna_axis
 from jaxlines.catalogue.dsn70m_drive import axis_drive
 from jaxlines.edge.drawing import circuit_svg
 from jaxlines.physics.fields import ports_of
@@ -55,18 +56,29 @@ class Drawn:
 
 
 def points_of(path: str) -> np.ndarray:
-    """Points along a path of cubic curves, close together."""
-    numbers = np.asarray(re.findall(r"-?\d+\.?\d*", path), dtype=float).reshape(-1, 2)
-    t = np.linspace(0.0, 1.0, 41)[:, None]
-    pieces = []
-    for a, b, c, d in (numbers[i : i + 4] for i in range(0, len(numbers) - 3, 3)):
-        pieces.append((1 - t) ** 3 * a + 3 * (1 - t) ** 2 * t * b + 3 * (1 - t) * t**2 * c + t**3 * d)
+    """Points along a path of cubic curves and vertical lines, close together."""
+    t, pieces, at = np.linspace(0.0, 1.0, 41)[:, None], [], np.zeros(2)
+    for letter, numbers in re.findall(r"([MCV])([^MCV]*)", path):
+        values = np.asarray(numbers.split(), dtype=float)
+        if letter == "V":
+            values = np.array([at[0], values[0]])
+            pieces.append(at + t * (values - at))
+        if letter == "C":
+            a, b, c, d = at, *values.reshape(3, 2)
+            pieces.append((1 - t) ** 3 * a + 3 * (1 - t) ** 2 * t * b + 3 * (1 - t) * t**2 * c + t**3 * d)
+        at = values[-2:]
     return np.concatenate(pieces)
 
 
 @pytest.fixture(scope="module")
 def drawn() -> Drawn:
     return Drawn(instrumented())
+
+
+@pytest.fixture(scope="module")
+def whole() -> Drawn:
+    """A whole axis: four motors with gears, and a rate loop."""
+    return Drawn(antenna_axis("azimuth"))
 
 
 def test_everything_has_a_name_a_type_and_labelled_ports(drawn):
@@ -88,7 +100,9 @@ def test_every_port_is_wired_to_its_node(drawn):
     assert sorted(map(sorted, found)) == sorted(map(sorted, expected))
 
 
-def test_boxes_do_not_overlap_and_wires_pass_beside_them(drawn):
+@pytest.mark.parametrize("picture", ["drawn", "whole"])
+def test_boxes_do_not_overlap_and_wires_pass_beside_them(picture, request):
+    drawn = request.getfixturevalue(picture)
     for (a, one), (b, two) in itertools.combinations(drawn.boxes.items(), 2):
         apart = one[2] < two[0] or two[2] < one[0] or one[3] < two[1] or two[3] < one[1]
         assert apart, (a, b)
@@ -98,6 +112,8 @@ def test_boxes_do_not_overlap_and_wires_pass_beside_them(drawn):
             inside = (x > left + 0.2) & (x < right - 0.2) & (y > top + 0.2) & (y < bottom - 0.2)
             assert not np.any(inside), (name, drawn.touched(wire))
     left, top, width, height = map(float, drawn.root.attrib["viewBox"].split())
+    for x, y in (wire.T for wire in drawn.wires):
+        assert left < x.min() and top < y.min() and x.max() < left + width and y.max() < top + height
     for box in drawn.boxes.values():
         assert left < box[0] and top < box[1] and box[2] < left + width and box[3] < top + height
 
@@ -107,6 +123,14 @@ def test_fluid_runs_down_from_the_supply(drawn):
     order = ["supply", "P_S", "servovalve", "A", "motor", "P_D", "drain"]
     assert [heights[name] for name in order] == sorted(heights[name] for name in order)
     assert heights["motor"] < heights["shaft"] < heights["inertia"]
+
+
+def test_a_controller_stands_above_what_it_reads_and_drives(whole):
+    circuit = antenna_axis("azimuth")
+    ends = [whole.touched(w) for w, css in zip(whole.wires, whole.classes, strict=True) if css == "wire signal"]
+    assert sorted(map(sorted, ends)) == [["rate_loop", "servovalve"], ["rate_loop", "shaft_1"]]
+    assert set(circuit.components) | set(circuit.nodes()) == set(whole.boxes)
+    assert whole.boxes["rate_loop"][1] < whole.boxes["servovalve"][1] < whole.boxes["motor_1"][1]
 
 
 def test_colours_by_domain_and_for_given_potentials(drawn):

@@ -5,6 +5,7 @@ from html import escape
 
 from jaxlines.edge.layout import Box, Wire, lay_out
 from jaxlines.physics.component import AbstractComponent
+from jaxlines.physics.controllers import AbstractController
 from jaxlines.physics.fields import HYDRAULIC, External, driven_of, ports_of
 from jaxlines.physics.sources import Tank
 from jaxlines.simulation.circuit import Circuit
@@ -95,8 +96,11 @@ def _wires(circuit: Circuit, boxes: dict[str, Box]) -> list[Wire]:
         for read in _read_by(part):
             owner = _owner(circuit, read)
             if owner is not None and owner != name:
-                wires.append(Wire(boxes[owner], boxes[name], "", "wire signal", down=True))
-        wires += [Wire(boxes[d], boxes[name], d, "wire signal") for d in _drives(part) if d in boxes]
+                upper, lower = boxes[owner], boxes[name]
+                if isinstance(part, AbstractController):  # it stands above what it reads and drives
+                    upper, lower = lower, upper
+                wires.append(Wire(upper, lower, "", "wire signal", down=True))
+        wires += [Wire(boxes[d], boxes[name], "", "wire signal", down=True) for d in _drives(part) if d in boxes]
     return wires
 
 
@@ -129,11 +133,15 @@ def _weigh(circuit: Circuit, boxes: dict[str, Box]) -> None:
 def _curve(wire: Wire) -> str:
     """A wire as a smooth path with vertical ends, and its label at the component's end."""
     (x, y), *rest = wire.points
-    path = f"M{x:.1f} {y:.1f}"
+    path, last = f"M{x:.1f} {y:.1f}", rest[-1]
+    pass_by = _HEIGHT / 2 if last[1] > y else -_HEIGHT / 2
     for to_x, to_y in rest:
-        middle = 0.5 * (y + to_y)
-        path += f" C{x:.1f} {middle:.1f} {to_x:.1f} {middle:.1f} {to_x:.1f} {to_y:.1f}"
-        x, y = to_x, to_y
+        # Straight down beside the boxes of a layer that it crosses.
+        first, then = (to_y, to_y) if (to_x, to_y) == last else (to_y - pass_by, to_y + pass_by)
+        middle = 0.5 * (y + first)
+        path += f" C{x:.1f} {middle:.1f} {to_x:.1f} {middle:.1f} {to_x:.1f} {first:.1f}"
+        path += f" V{then:.1f}" if then != first else ""
+        x, y = to_x, then
     drawn = f'<path class="{wire.css}" d="{path}"/>'
     if not wire.label:
         return drawn

@@ -4,6 +4,7 @@ The layout itself is grandalf's; what is said here is which way each wire points
 """
 
 import dataclasses
+import math
 from collections.abc import Iterable
 from typing import Any
 
@@ -93,7 +94,8 @@ def _place(part, left: float) -> tuple[float, float]:
     for vertex in part.sV:
         vertex.data.x, vertex.data.y = vertex.view.xy
         placed.append(vertex.data)
-    shift = left - min(box.x - box.width / 2 for box in placed)
+    crossings = [x for edge in part.sE for x, _ in edge.view.points[1:-1]]
+    shift = left - min(*crossings, *(box.x - box.width / 2 for box in placed), math.inf)
     top = min(box.y - box.height / 2 for box in placed)
     for box in placed:
         box.x, box.y = box.x + shift, box.y - top
@@ -101,7 +103,8 @@ def _place(part, left: float) -> tuple[float, float]:
         wire, forward = edge.data
         inner = [(x + shift, y - top) for x, y in edge.view.points[1:-1]]
         wire.points = [(wire.start.x, wire.start.y), *(inner if forward else inner[::-1]), (wire.end.x, wire.end.y)]
-    return max(box.x + box.width / 2 for box in placed) - left, max(box.y + box.height / 2 for box in placed)
+    right = max(*(x + shift for x in crossings), *(box.x + box.width / 2 for box in placed), left)
+    return right - left, max(box.y + box.height / 2 for box in placed)
 
 
 def _attach(wires: list[Wire]) -> None:
