@@ -116,7 +116,7 @@ def audit(
     of flows (mass flow times the integral of dp/rho from atmosphere, torque times speed, force times velocity).
 
     Args: simulation: a finished one; initial: start values, needed where the simulation did not
-        save them all, and for sampled controllers that were given some; solver,
+        save them all, and for sampled controllers that were given some (also by a steady state); solver,
         tolerance, max_steps, max_step: as given to `simulate`.
     Raises: ValueError when a start value is neither saved nor given; RuntimeError when the run fails.
     Validity: the whole circuit's mass counts fluid inside components whose content is known (lines, accumulators,
