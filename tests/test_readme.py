@@ -74,7 +74,7 @@ def test_the_fit_prints_what_is_shown(fit_output):
     check_output(shown, fit_output)
 
 
-@pytest.mark.parametrize(("code", "shown"), PYTHON, ids=["fit", "simulate", "gradient", "waves"])
+@pytest.mark.parametrize(("code", "shown"), PYTHON, ids=["fit", "simulate", "gradient", "cylinder", "waves"])
 def test_python_blocks(code, shown):
     kind, text = shown
     assert kind == "text" and len([line for line in code.splitlines() if line]) <= 20
@@ -122,6 +122,12 @@ def test_every_model_is_in_the_table_and_nothing_else_is():
     models = physical | {name for name, thing in classes.items() if issubclass(thing, AbstractSignal)}
     rows = re.findall(r"^\| (`\w+`(?:, `\w+`)*) \|", README, flags=re.MULTILINE)
     assert {name for row in rows for name in re.findall(r"\w+", row)} == models
+
+
+def test_the_comparison_with_other_tools_names_models_that_exist():
+    rows = re.findall(r"^\| (`.*?) \|", (ROOT / "docs/components.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
+    named = {name for row in rows for name in re.findall(r"`(\w+)`", row)}
+    assert len(named) > 30 and not [name for name in sorted(named) if not hasattr(jl, name)]
 
 
 def test_named_modules_and_functions_exist():

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # the public names; each is imported when it is first used (see __getattr__)
     from jaxlines.edge.building import StudyError as StudyError
+    from jaxlines.edge.circuit_text import circuit_from_toml as circuit_from_toml, circuit_to_toml as circuit_to_toml
+    from jaxlines.edge.drawing import circuit_svg as circuit_svg
     from jaxlines.edge.plots import plot_line_response as plot_line_response
     from jaxlines.edge.reading import read_recording as read_recording
     from jaxlines.edge.study import Study as Study, load_study as load_study

@@ -10,7 +10,6 @@ import pytest
 from matplotlib.figure import Figure
 
 import jaxlines as jl
-from jaxlines.catalogue.dsn70m_drive import axis_drive
 from jaxlines.edge.display import estimate_row, readable_text, readable_unit, rounded
 from jaxlines.edge.drawing import circuit_svg
 from jaxlines.edge.plots import decimate, plot_bulk_modulus, plot_channel, plot_residuals, plot_wave_speed
@@ -19,7 +18,6 @@ from jaxlines.inference.analysis import ChannelFit
 from jaxlines.inference.curves import Curve
 from jaxlines.inference.fit_result import Fit
 from jaxlines.inference.uncertainty import Estimate
-from jaxlines.physics.fields import ports_of
 
 INTERVAL = Estimate(1.379e9, 3.6e6, (1.372e9, 1.386e9), "Pa", "interval", "isentropic & tangent")
 LIMIT = Estimate(1e-13, 2e-13, (0.0, 4.3e-13), "m^3/(s*Pa)", "upper_limit", "not detected: 95 % upper limit")
@@ -188,21 +186,6 @@ def test_drawing_names_every_node_component_and_port():
     for name in ("A", "T", "line", "leak <1>", "tank", "gauge", "meter", "LaminarLeak", "a", "b"):
         assert name in texts
     assert "leak <1> (LaminarLeak) at A, T" in (root.findtext("title") or "")
-
-
-def test_drawing_connects_ports_to_their_rails_without_overlap():
-    drive = axis_drive("azimuth")
-    root, _ = drawn(drive)
-    rails = [e for e in root.iter("line") if e.attrib["class"].startswith("rail")]
-    assert len(rails) == len(drive.nodes())
-    at = dict(zip(drive.nodes(), (float(rail.attrib["x1"]) for rail in rails), strict=True))
-    dots = sorted(float(dot.attrib["cx"]) for dot in root.iter("circle"))
-    expected = [at[getattr(part, port)] for part in drive.parts().values() for port in ports_of(part)]
-    assert dots == sorted(expected)
-    for box in root.iter("rect"):
-        left = float(box.attrib["x"])
-        right = left + float(box.attrib["width"])
-        assert not any(left <= x <= right for x in at.values())
 
 
 @pytest.mark.parametrize(

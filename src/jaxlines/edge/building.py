@@ -8,6 +8,7 @@ import dataclasses
 import difflib
 import functools
 import importlib
+import inspect
 import pkgutil
 import re
 import typing
@@ -101,7 +102,8 @@ class Builder:
         """An object of a class from its table; `driven` is the metadata of what a signal drives."""
         if not isinstance(table, dict):
             raise StudyError(f"{where}: expected a table for a {kind.__name__}, got {table!r}")
-        fields = {field.name: field for field in dataclasses.fields(kind) if field.init}
+        accepted = inspect.signature(kind).parameters
+        fields = {field.name: field for field in dataclasses.fields(kind) if field.name in accepted}
         for key in table:
             if key not in fields and key != "type":
                 raise StudyError(f"{where}: unknown key {key!r}, {suggest(key, fields)}")

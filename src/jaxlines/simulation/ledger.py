@@ -155,8 +155,10 @@ def see(plan: Plan, values: Values, t, potentials, states) -> Seen:
                 continue
             flow, gross = flow.at[index].add(amount), gross.at[index].add(jnp.abs(amount))
             if port.name in done.capacity:
-                filling[k, port.name] = zero + done.capacity[port.name]
-                capacity = capacity.at[index].add(filling[k, port.name])
+                added = zero + done.capacity[port.name]
+                capacity = capacity.at[index].add(added)
+                if port.domain == HYDRAULIC:
+                    filling[k, port.name] = added
         given, power = [*given, mass], [*power, work]
         inside = fluid_inside(packed, at)
         if inside is not None:
