@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,42 +22,21 @@ class Sight(NamedTuple):
     seen: list[Situation]
 
 
-def fixed_potentials(plan: Plan, values: Values, inputs, t=0.0):
-    """Potentials of the fixed nodes, shape (fixed nodes, [lanes]); inputs as in `Sight`."""
-    given = {node.kind: _given(plan, values, node.kind, t, inputs) for node in plan.fixed_nodes}
-    return _fixed_potentials(plan, given)
-
-
-def _fixed_potentials(plan: Plan, given):
-    """The same from the driven fields of every kind."""
+def _fixed_potentials(plan: Plan, given: list[dict]):
+    """Potentials of the fixed nodes, shape (fixed nodes, [lanes]), from the driven fields of every kind."""
     if not plan.fixed_nodes:
         return jnp.zeros(0)
     places = [Quantity("given", node.kind, node.field, (node.member,), "") for node in plan.fixed_nodes]
     return pick(places, lambda place: given[place.kind][place.name])
 
 
-def _own_signals(packed, t) -> dict:
-    """The driven fields of a kind that are signals of its members' own, at time t."""
-    fields = {field: getattr(packed, field) for field in driven_of(packed)}
-    signals = {field: value for field, value in fields.items() if isinstance(value, AbstractSignal)}
-    return {field: jax.vmap(lambda signal: signal(t), in_axes=-1)(value) for field, value in signals.items()}
-
-
 def _given(plan: Plan, values: Values, k: int, t, inputs) -> dict:
-    """The driven fields of kind k at time t: numbers, signals of its own, or inputs."""
-    packed = values.kinds[k]
-    given = {field: getattr(packed, field) for field in driven_of(packed)} | _own_signals(packed, t)
+    """The driven fields of kind k at time t: numbers, signals of its members' own, or inputs."""
+    given = {field: getattr(values.kinds[k], field) for field in driven_of(values.kinds[k])}
+    for field, value in given.items():
+        if isinstance(value, AbstractSignal):
+            given[field] = jax.vmap(lambda signal: signal(t), in_axes=-1)(value)
     return given | {field: take(inputs, index) for field, index in plan.kinds[k].signals}
-
-
-def frozen(values: Values, t) -> Values:
-    """Values in which the signals that components have of their own stand still at time t."""
-    kinds = []
-    for packed in values.kinds:
-        for field, value in _own_signals(packed, t).items():
-            packed = eqx.tree_at(lambda p, f=field: getattr(p, f), packed, value)
-        kinds.append(packed)
-    return eqx.tree_at(lambda v: v.kinds, values, tuple(kinds))
 
 
 def _look(plan: Plan, values: Values, t, potentials, states, inputs, read: dict) -> Sight:
