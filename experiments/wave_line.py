@@ -172,8 +172,8 @@ def main() -> int:
     missed = [name for name, holds in claims.items() if not holds]
     finding = (
         f"order {frequency_order:.2f} in frequency, {time_order:.2f} in time; raised cosine within "
-        f"{100 * smooth['errors'][-1]:.2g} % at {SEGMENTS[-1]} segments ({100 * smooth['error_of_weights']:.2g} % of it "
-        f"by the weighting function), within 1 % from {needed}; sudden closure rings by up to "
+        f"{100 * smooth['errors'][-1]:.2g} % at {SEGMENTS[-1]} segments ({100 * smooth['error_of_weights']:.2g} % of "
+        f"it by the weighting function), within 1 % from {needed}; sudden closure rings by up to "
         f"{100 * sudden['ringing']:.0f} %, its mean over half a travel time is within {100 * mean_error:.2g} %"
     ) + f"; MISSED: {', '.join(missed)}" * bool(missed)
     draw(folder / "wave_line.svg", number, sudden)

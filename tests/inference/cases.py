@@ -25,7 +25,7 @@ FREE = [
 
 def control_line(mass: str = "conserved", **oil) -> jl.Circuit:
     """A dead-ended line fed with a measured flow, leaking to the tank."""
-    numbers = {"bulk_modulus": 1.4e9, "density": 850.0, "air_fraction": 7e-3, "polytropic_index": 1.2} | oil
+    numbers: dict = {"bulk_modulus": 1.4e9, "density": 850.0, "air_fraction": 7e-3, "polytropic_index": 1.2} | oil
     return jl.Circuit(
         jl.Oil(**numbers, mass=mass),
         {

@@ -198,7 +198,7 @@ def test_starts_in_equilibrium():
 def test_jacobian_of_an_accumulator_with_ideal_gas(monkeypatch):
     """At the points of all components, among which the other accumulators are."""
     monkeypatch.setitem(components.PARTS, "ideal gas", PARTS["adiabatic ideal gas"])
-    components.test_jacobian_in_all_numbers_and_potentials("ideal gas", "article")
+    components.test_jacobian_in_all_numbers_and_potentials("ideal gas")
 
 
 @pytest.mark.parametrize("name", ["nitrogen accumulator", "adiabatic ideal gas"])

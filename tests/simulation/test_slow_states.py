@@ -61,7 +61,7 @@ def test_a_cycle_through_2_kpa_returns_to_its_starting_mass(air):
     mass = stored_mass(sim, None)
     lowest = 1e4 if "Henry" in air else 2e3  # saturated oil gives off far more gas than could be drawn out
     assert 0.0 < sim.lowest_pressure < lowest
-    np.testing.assert_allclose(mass - mass[0], total, atol=1e-3 * np.ptp(mass))  # the rest is quadrature
+    np.testing.assert_allclose(mass - mass[0], total, atol=1e-3 * float(np.ptp(mass)))  # the rest is quadrature
     assert mass[-1] == pytest.approx(mass[0], rel=2e-5)
 
 
@@ -70,10 +70,10 @@ def test_segments_with_slow_walls_and_slow_air_conserve_mass():
     sim, total = cycle(line, "kinetic", 3e4, ["A.pressure", "B.pressure"], 2.0)
     mass = stored_mass(sim, 3)
     assert sim.lowest_pressure < 1e5
-    np.testing.assert_allclose(mass - mass[0], total, atol=1e-3 * np.ptp(mass))  # the rest is quadrature
+    np.testing.assert_allclose(mass - mass[0], total, atol=1e-3 * float(np.ptp(mass)))  # the rest is quadrature
 
 
-def stored_mass(sim, segments):
+def stored_mass(sim, segments) -> np.ndarray:
     """Mass in the line, from what was saved [kg], shape (times,)."""
     oil, count = sim.circuit.fluid, 1 if segments is None else segments + 1
 
@@ -87,4 +87,5 @@ def stored_mass(sim, segments):
         pressures = np.concatenate([sim["A.pressure"][None], along("pressure", range(2)), sim["B.pressure"][None]])
         shares, strain = cut(segments, "pi").volumes, along("delayed_strain", range(count))
         air = along("undissolved_air", range(count)) if oil.air.kinetic else None
-    return np.tensordot(shares, oil.density_at(pressures, air) * volume_at(HOSE, oil, pressures, strain), 1)
+    volumes = volume_at(HOSE, oil, pressures, strain)  # pyright: ignore[reportArgumentType]
+    return np.asarray(np.tensordot(shares, oil.density_at(pressures, air) * volumes, 1))

@@ -94,13 +94,13 @@ def test_paths(circuit):
 
 
 def test_a_node_without_capacity_is_named():
-    hole = {"leak": jl.LaminarLeak("A", "B", 1e-11), "line": jl.Line("A", jl.Vessel(1e-3))}
+    hole: dict = {"leak": jl.LaminarLeak("A", "B", 1e-11), "line": jl.Line("A", jl.Vessel(1e-3))}
     with pytest.raises(ValueError, match=r"hydraulic node 'B' has no capacity, .* is undetermined: attach a Line"):
         jl.Circuit(OIL, hole)
     with pytest.raises(ValueError, match=r"rotational node 'shaft' has no capacity, .* attach an Inertia"):
         jl.Circuit(OIL, {"load": jl.LoadTorque("shaft", 1.0)})
     with pytest.raises(ValueError, match=r"hydraulic node 'B' has no capacity, .* is undetermined: attach a Line"):
-        jl.simulate(jl.Circuit(OIL, hole | {"second": jl.LaminarLeak("B", "A", 1e-11)}), TIMES)
+        jl.simulate(jl.Circuit(OIL, {**hole, "second": jl.LaminarLeak("B", "A", 1e-11)}), TIMES)
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,8 @@ The lines, the oil and the 20 commands a second are the article's. Everything el
 for such a drive and assumed, not in the article.
 """
 
+from typing import Any
+
 import numpy as np
 
 from jaxlines.catalogue.dsn70m import COMMAND_RATE, OIL, PATH_LENGTH, VOLUMES, control_line
@@ -70,7 +72,7 @@ def motor_speed(axis_rate):
     return ASSUMED["gear.ratio"] * axis_rate
 
 
-def _given(kind: str) -> dict[str, float]:
+def _given(kind: str) -> dict[str, Any]:
     """The assumed numbers of a component."""
     return {path.split(".")[1]: value for path, value in ASSUMED.items() if path.split(".")[0] == kind}
 

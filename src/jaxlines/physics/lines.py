@@ -70,12 +70,11 @@ class Line(AbstractComponent):
             raise TypeError(f"parts of a Line are containers (Pipe, Vessel), got {wrong[0] if wrong else 'none'!r}")
         if self.model not in MODELS:
             raise ValueError(f'model must be "pi" or "T", got {self.model!r}')
-        counted = isinstance(self.segments, int) and not isinstance(self.segments, bool)
-        if self.segments != "auto" and not (counted and 1 <= self.segments <= 10_000):
+        if self.segments != "auto" and not (type(self.segments) is int and 1 <= self.segments <= 10_000):
             raise ValueError(f'segments must be "auto" or a number from 1 to 10000, got {self.segments!r}')
         if self.to is None and (self.segments != "auto" or self.weights is not None):
             raise ValueError("segments and weights need the node at the line's other end: give it as to=...")
-        if self.to is not None and (len(self.parts) > 1 or not isinstance(self.parts[0], AbstractConduit)):
+        if self.to is not None and [isinstance(part, AbstractConduit) for part in self.parts] != [True]:
             kinds = ", ".join(type(part).__name__ for part in self.parts)
             raise ValueError(
                 f"a Line between two nodes is one conduit (Pipe, Hose), got {kinds}: join several Lines at nodes, "

@@ -2,7 +2,7 @@
 
 from typing import Any, NamedTuple
 
-from jaxlines.physics.containers import AbstractContainer, capacity, delayed_strain_rate, volume_at
+from jaxlines.physics.containers import capacity, delayed_strain_rate, volume_at
 from jaxlines.physics.fluids import Oil
 
 
@@ -14,14 +14,15 @@ class Stored(NamedTuple):
     rates: dict[str, Any]
 
 
-def stored(container: AbstractContainer, fluid: Oil, p, strain=None, undissolved=None, share: Any = 1.0) -> Stored:
+def stored(container: Any, fluid: Oil, p, strain=None, undissolved=None, share: Any = 1.0) -> Stored:
     """The mass balance of a share of a container whose mass m = rho(p, theta) V(p, eps) has slow states.
 
     dm/dp p' = sum of mass flows - (dm/deps) eps' - (dm/dtheta) theta', with dm/deps = m for the delayed strain of a
     visco-elastic wall and dm/dtheta = -m (dv/dtheta)/v for the undissolved fraction of the air; so mass is conserved.
 
-    Args: p absolute [Pa]; strain: delayed strain of the wall eps [-], None without one; undissolved: fraction of the
-        air that is not dissolved theta [-], None when the fluid's air has no kinetics; share of the container [-].
+    Args: container: an `AbstractContainer`; p absolute [Pa]; strain: delayed strain of the wall eps [-], None without
+        one; undissolved: fraction of the air that is not dissolved theta [-], None when the fluid's air has no
+        kinetics; share of the container [-].
     """
     given = 0.0 if strain is None else strain
     mass = share * fluid.density_at(p, undissolved) * volume_at(container, fluid, p, given)

@@ -8,11 +8,13 @@ import jax
 import jax.numpy as jnp
 
 from jaxlines.physics.component import DOMAINS, AbstractComponent, Situation
+from jaxlines.physics.controllers import AbstractController
 from jaxlines.physics.fields import HYDRAULIC, ROTATIONAL, External, as_number, check_range, driven_of, ports_of
 from jaxlines.physics.fluids import Oil
 from jaxlines.physics.lines import Line
 from jaxlines.physics.sensors import AbstractSensor
 from jaxlines.simulation.circuit_table import circuit_table
+from jaxlines.simulation.loops import controller_levels
 from jaxlines.simulation.paths import leaf_paths, resolve
 
 
@@ -22,7 +24,7 @@ class Circuit(eqx.Module):
     Args: fluid; components: name -> component or sensor. Nodes exist by being named at a port.
     Raises: TypeError for what is no component; ValueError when a node is used in two domains, is set by
         two sources, or when a name is taken twice or has a dot in it, or when a port's node has no capacity and
-        nothing else is attached to it.
+        nothing else is attached to it, or when controllers form an algebraic loop.
     `print(circuit)` shows it as a table.
     """
 
@@ -41,6 +43,7 @@ class Circuit(eqx.Module):
         if clash:
             raise ValueError(f"{sorted(clash)[0]!r} is both a node and a component: give one of them another name")
         _require_attachment(self)
+        controller_levels(self.components)
 
     def __str__(self) -> str:
         return circuit_table(self.fluid, self.components)
@@ -75,12 +78,12 @@ class Circuit(eqx.Module):
         return fixed
 
     def external_inputs(self) -> dict[str, list[tuple[str, str]]]:
-        """Name of each input to be given -> the (component, field) pairs that it drives."""
+        """Name of each input to be given -> the (component, field) pairs that it drives; controllers are none."""
         inputs: dict[str, list[tuple[str, str]]] = {}
         for name, part in self.parts().items():
             for field in driven_of(part):
                 value = getattr(part, field)
-                if isinstance(value, External):
+                if isinstance(value, External) and not isinstance(self.components.get(value.name), AbstractController):
                     inputs.setdefault(value.name, []).append((name, field))
         return inputs
 

@@ -1,6 +1,5 @@
 """The external inputs of a circuit as signals, checked."""
 
-from jaxlines.physics.controllers import AbstractController
 from jaxlines.physics.fields import AbstractSignal, check_range, driven_of
 from jaxlines.simulation.circuit import Circuit
 from jaxlines.simulation.signals import Constant, Sampled, Step, as_signal
@@ -9,15 +8,9 @@ _LEVELS = {Sampled: ("values",), Constant: ("value",), Step: ("before", "after")
 """Fields of a signal that hold values which it takes."""
 
 
-def _needed_inputs(circuit: Circuit) -> dict[str, list[tuple[str, str]]]:
-    """The external inputs that are no controllers."""
-    named = circuit.external_inputs().items()
-    return {n: p for n, p in named if not isinstance(circuit.components.get(n), AbstractController)}
-
-
 def bind_inputs(circuit: Circuit, inputs: dict | None, times) -> dict[str, AbstractSignal]:
     """The external inputs of a circuit as signals, checked: all there, none too many, values in range."""
-    needed, inputs = _needed_inputs(circuit), dict(inputs or {})
+    needed, inputs = circuit.external_inputs(), dict(inputs or {})
     missing, unknown = sorted(set(needed) - set(inputs)), sorted(set(inputs) - set(needed))
     if missing:
         component, field = needed[missing[0]][0]

@@ -21,15 +21,19 @@ def _seen_by(name: str, part, fluid, times, outputs, inputs) -> Situation:
     """What a component saw at the saved times. Raises ValueError when something of it was not saved."""
     potentials = {p: f"{getattr(part, p)}.{DOMAINS[d].potential}" for p, d in ports_of(part).items()}
     states = {state.name: f"{name}.{state.name}" for state in part.states_in(fluid)}
-    missing = [q for q in (*potentials.values(), *states.values()) if q not in outputs]
+    given = {field: getattr(part, field) for field in driven_of(part)}
+    followed = {f: v.name for f, v in given.items() if isinstance(v, External) and v.name not in inputs}
+    followed = {field: f"{controller}.output" for field, controller in followed.items()}
+    missing = [q for q in (*potentials.values(), *states.values(), *followed.values()) if q not in outputs]
     if missing:
         raise ValueError(
             f"the validity check needs {', '.join(missing)}, which was not saved: "
             "simulate without `outputs`, or name it there"
         )
-    given = {field: getattr(part, field) for field in driven_of(part)}
     for field, value in given.items():
-        if isinstance(value, AbstractSignal):
+        if field in followed:
+            given[field] = np.asarray(outputs[followed[field]])
+        elif isinstance(value, AbstractSignal):
             given[field] = _values(inputs[value.name] if isinstance(value, External) else value, times)
     at_ports = {p: np.asarray(outputs[q]) for p, q in potentials.items()}
     return Situation(fluid, at_ports, {s: np.asarray(outputs[q]) for s, q in states.items()}, given)

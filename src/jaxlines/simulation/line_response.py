@@ -45,7 +45,7 @@ class LineResponse(NamedTuple):
         return float(self.frequencies[count - 1]) if count else 0.0
 
 
-def line_response(circuit: Circuit, name: str, frequencies, *, pressure, end="closed") -> LineResponse:
+def line_response(circuit: Circuit, name: str, frequencies, *, pressure, end: Any = "closed") -> LineResponse:
     """Input impedance of a line, as the circuit simulates it and as the distributed line has it.
 
     Args:

@@ -96,7 +96,8 @@ def _start_pressure(circuit: Circuit, node: str, initial: dict, inputs: dict, ti
         return float(initial.get(f"{node}.pressure", circuit.fluid.atmospheric_pressure))
     owner, field = circuit.fixed_nodes()[node]
     value = getattr(circuit.components[owner], field)
-    value = inputs[value.name] if isinstance(value, External) else value
+    if isinstance(value, External):  # a controller's output is known only once the circuit runs
+        value = inputs.get(value.name, circuit.fluid.atmospheric_pressure)
     if isinstance(value, AbstractSignal):
         with computing_in("float64"):
             value = value(np.asarray(times, dtype=float)[0])

@@ -58,22 +58,26 @@ class LineValidity(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Validity:
-    """Validity of the lumped model for each line with a path length, and the source of the highest frequency."""
+    """Validity of each lumped line with a path length and of each line in segments (`waves`).
 
-    lines: tuple[LineValidity | WaveLineValidity, ...]
+    highest_frequency [Hz] that was taken, and frequency_source: what it was read from.
+    """
+
+    lines: tuple[LineValidity, ...]
+    waves: tuple[WaveLineValidity, ...]
     highest_frequency: float
     frequency_source: str
 
     @property
     def ok(self) -> bool:
         """Whether every line is within the limits; true when there is no line to check."""
-        return all(line.ok for line in self.lines)
+        return all(line.ok for line in (*self.lines, *self.waves))
 
     def sentences(self) -> list[str]:
         """One sentence a line, with numbers and units."""
-        if not self.lines:
+        if not self.lines and not self.waves:
             return ["no line has a path_length, so that the validity of the lumped model was not checked"]
-        return [line.sentence() for line in self.lines]
+        return [line.sentence() for line in (*self.lines, *self.waves)]
 
     def to_dict(self) -> dict:
         """Plain numbers and texts, fit for JSON."""
@@ -82,6 +86,7 @@ class Validity:
             "highest_frequency": self.highest_frequency,
             "frequency_source": self.frequency_source,
             "lines": [{**line._asdict(), "ok": line.ok} for line in self.lines],
+            "waves": [{**line._asdict(), "ok": line.ok} for line in self.waves],
             "sentences": self.sentences(),
         }
 
@@ -212,7 +217,8 @@ def check_validity(circuit: Circuit, times, pressures, flows, signals, highest_f
         _check_line(name, line, circuit.fluid, times, pressures[line.node], flows[name], frequency)
         for name, line in lines_to_check(circuit).items()
     )
+    waves = []
     for name, line in wave_lines(circuit).items():
         ends = np.stack([np.asarray(pressures[node]) for node in (line.node, line.to)])
-        checked += (check_wave_line(name, line, circuit.fluid, ends, flows[name], frequency, source),)
-    return Validity(checked, frequency, source)
+        waves.append(check_wave_line(name, line, circuit.fluid, ends, flows[name], frequency, source))
+    return Validity(checked, tuple(waves), frequency, source)
