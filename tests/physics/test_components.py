@@ -193,12 +193,14 @@ def test_jacobian_in_all_numbers_and_potentials(name):
 
 
 @pytest.mark.parametrize("name", PARTS)
-def test_vmap_equals_loop(name):
+def test_vmap_equals_loop_on_one_program(name):
     part = PARTS[name]
     seen = [situation(part, OILS["with air"], point) for point in POINTS]
     batch = jax.tree.map(lambda *x: jnp.stack([jnp.asarray(v) for v in x], axis=-1), *seen)
-    alone = jax.jit(lambda at: (results(part, at), part.evaluate(at).flow))
-    one_by_one, flows = zip(*(alone(at) for at in seen), strict=True)
+    alone = jax.jit(lambda part, at: (results(part, at), part.evaluate(at).flow))
+    one_by_one, flows = zip(*(alone(part, at) for at in seen), strict=True)
+    alone(jax.tree.map(lambda number: 1.01 * number, part), seen[0])
+    assert alone._cache_size() == 1  # other numbers compile nothing  # pyright: ignore[reportAttributeAccessIssue]
     rounding = 1e-15 * np.max(np.abs(np.stack(one_by_one)), initial=1e-3)
     together = jax.jit(lambda at: (jax.vmap(results, (None, -1))(part, at), part.evaluate(at).flow))(batch)
     np.testing.assert_allclose(together[0], np.stack(one_by_one), rtol=1e-12, atol=rounding)

@@ -17,19 +17,19 @@ VOLUME: dict = {"line": jl.Line("A", jl.Vessel(1e-3))}
         (
             {"leak": jl.LaminarLeak("A", "B", 1e-12)},
             r"hydraulic node 'B' has no capacity, so that its pressure is undetermined: attach a Line .a Vessel is a "
-            r"plain volume., or a PressureSource, or correct the name; nothing but leak\.b is attached to it",
+            r"plain volume., or a PressureSource, or correct the name; attached to it: leak\.b",
         ),
         (
             {"load": jl.LoadTorque("shaft", 1.0)},
-            r"rotational node 'shaft' has no capacity.* attach an Inertia, .* nothing but load\.shaft",
+            r"rotational node 'shaft' has no capacity.* attach an Inertia, .* attached to it: load\.shaft",
         ),
         (
             {"motor": jl.Motor("A", "A", "case", "shaft", 1e-4), "inertia": jl.Inertia("shaft", 1.0)},
-            r"hydraulic node 'case' .* nothing but motor\.case",
+            r"hydraulic node 'case' .* attached to it: motor\.case",
         ),
         (
             {"pipe": jl.Line("A", jl.Pipe(1.0, 0.01, 0.02), to="end", model="T", segments=3)},
-            r"hydraulic node 'end' .* nothing but pipe\.to",
+            r"hydraulic node 'end' .* attached to it: pipe\.to",
         ),
     ],
 )

@@ -60,25 +60,12 @@ def _tables(rows: list[list[int]], padding: int):
     return tuple(tables), tuple(int(place) for place in np.argsort(order))
 
 
-def _require_capacity(plan: Plan) -> None:
-    """Raise for a node whose potential would change infinitely fast."""
-    ports = set(plan.capacity.ports)
-    has = {i for k, kind in enumerate(plan.kinds) for p in kind.ports if (k, p.name) in ports for i in p.index}
-    for index, (node, domain) in enumerate(plan.free_nodes):
-        if index not in has:
-            remedy = {"hydraulic": "a Line (a Vessel is a plain volume), or a PressureSource"}.get(domain, "an Inertia")
-            raise ValueError(
-                f"{domain} node {node!r} has no capacity, so that its {DOMAINS[domain].potential} is undetermined: "
-                f"attach {remedy}, or correct the name"
-            )
-
-
 def compile_circuit(circuit: Circuit, initial: dict | None = None, inputs: dict | None = None) -> tuple[Plan, Values]:
     """The static plan of a circuit and its values.
 
     Args: circuit; initial: name of a potential or state -> value in SI (others: atmospheric pressure, 0);
         inputs: name -> signal for the circuit's external inputs (all of them).
-    Raises: ValueError for a node without capacity, an algebraic loop of controllers or a controller that reads what
+    Raises: ValueError for an algebraic loop of controllers or a controller that reads what
         it cannot; KeyError for an unknown initial value.
     """
     wiring = Wiring(circuit)
@@ -96,7 +83,6 @@ def compile_circuit(circuit: Circuit, initial: dict | None = None, inputs: dict 
     found = jax.eval_shape(lambda v: contributions(plan, v, 0.0, *starting_point(plan, v, 0.0)), values)
     flow, capacity = [c.flow for c in found], [c.capacity for c in found]
     plan = plan._replace(flow=_incidence(kinds, flow, len(free)), capacity=_incidence(kinds, capacity, len(free)))
-    _require_capacity(plan)
     return plan, values
 
 

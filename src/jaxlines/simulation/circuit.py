@@ -23,8 +23,8 @@ class Circuit(eqx.Module):
 
     Args: fluid; components: name -> component or sensor. Nodes exist by being named at a port.
     Raises: TypeError for what is no component; ValueError when a node is used in two domains, is set by
-        two sources, or when a name is taken twice or has a dot in it, or when a port's node has no capacity and
-        nothing else is attached to it, or when controllers form an algebraic loop.
+        two sources, or when a name is taken twice or has a dot in it, or when a node has no
+        capacity, or when controllers form an algebraic loop.
     `print(circuit)` shows it as a table.
     """
 
@@ -42,7 +42,7 @@ class Circuit(eqx.Module):
         clash = set(self.components) & set(self.nodes())
         if clash:
             raise ValueError(f"{sorted(clash)[0]!r} is both a node and a component: give one of them another name")
-        _require_attachment(self)
+        _require_capacity(self)
         controller_levels(self.components)
 
     def __str__(self) -> str:
@@ -124,34 +124,41 @@ REMEDIES = {HYDRAULIC: "a Line (a Vessel is a plain volume), or a PressureSource
 """What to attach to a node without capacity, by domain; elsewhere a Mass."""
 
 
-def _require_attachment(circuit: Circuit) -> None:
-    """Raise for a node to which one port is attached and nothing else, where that port gives it no capacity."""
-    fixed, attached = circuit.fixed_nodes(), {}
-    for name, part in circuit.parts().items():
+def _require_capacity(circuit: Circuit) -> None:
+    """Raise for a node to which nothing adds capacity, so that its potential would change infinitely fast."""
+    fixed, attached, parts = circuit.fixed_nodes(), {}, circuit.parts()
+    for name, part in parts.items():
         for port in ports_of(part):
             attached.setdefault(getattr(part, port), []).append((name, port))
     for node, places in attached.items():
-        name, port = places[0]
-        if node in fixed or len(places) > 1 or _gives_capacity(circuit.fluid, circuit.parts()[name], port):
+        if node in fixed or any(port in _capacity_ports(circuit.fluid, parts[name]) for name, port in places):
             continue
-        domain = circuit.nodes()[node]
+        domain, ports = circuit.nodes()[node], [f"{name}.{port}" for name, port in places]
         raise ValueError(
             f"{domain} node {node!r} has no capacity, so that its {DOMAINS[domain].potential} is undetermined: attach "
-            f"{REMEDIES.get(domain, 'a Mass')}, or correct the name; nothing but {name}.{port} is attached to it"
+            f"{REMEDIES.get(domain, 'a Mass')}, or correct the name; attached to it: {', '.join(ports)}"
         )
 
 
-def _gives_capacity(fluid: Oil, part: AbstractComponent, port: str) -> bool:
-    """Whether a component adds to the capacity of the node at a port, without computing anything."""
-    if isinstance(part, Line):
-        return part.to is None or part.model == "pi"
+_CAPACITY_PORTS: dict[Any, frozenset[str]] = {}
+# What adds capacity where follows from the structure of component and fluid alone, and a circuit is made anew for
+# every change of a number.
 
-    def capacity(fluid, part):
-        at_ports = {name: jnp.asarray(1.0) for name in ports_of(part)}
-        states = {state.name: jnp.ones(state.shape) for state in part.states_in(fluid)}
-        return part.evaluate(Situation(fluid, at_ports, states, dict.fromkeys(driven_of(part), 1.0))).capacity
 
-    return port in eqx.filter_eval_shape(capacity, fluid, part)
+def _capacity_ports(fluid: Oil, part: AbstractComponent) -> frozenset[str]:
+    """The ports at which a component adds capacity to its node, without computing anything."""
+    if isinstance(part, Line) and part.to is not None:  # its number of segments may not be chosen yet
+        return frozenset({"node", "to"} if part.model == "pi" else ())
+    key = jax.tree.structure((fluid, part))
+    if key not in _CAPACITY_PORTS:
+
+        def capacity(fluid, part):
+            at_ports = {name: jnp.asarray(1.0) for name in ports_of(part)}
+            states = {state.name: jnp.ones(state.shape) for state in part.states_in(fluid)}
+            return part.evaluate(Situation(fluid, at_ports, states, dict.fromkeys(driven_of(part), 1.0))).capacity
+
+        _CAPACITY_PORTS[key] = frozenset(eqx.filter_eval_shape(capacity, fluid, part))
+    return _CAPACITY_PORTS[key]
 
 
 def field_metadata(circuit: Circuit, path: str) -> dict:
