@@ -8,12 +8,12 @@ import pytest
 from studies import write_study
 
 from jaxlines import FlowSource, Line, Pipe, PressureSensor, PressureSource, Sine, Step, Vessel
-from jaxlines.edge.building import StudyError, _family, _public_classes
+from jaxlines.edge.building import StudyError, _public_classes
 from jaxlines.edge.study import load_study
 from jaxlines.inference.parameters import Free, Known
 from jaxlines.physics.component import AbstractComponent
 from jaxlines.physics.containers import AbstractContainer
-from jaxlines.physics.fields import AbstractSignal
+from jaxlines.physics.fields import AbstractSignal, family_of
 from jaxlines.physics.fluids import Oil
 from jaxlines.physics.sensors import AbstractSensor
 from jaxlines.simulation.signals import Sampled
@@ -132,7 +132,7 @@ def test_every_public_class_can_stand_in_a_study():
         for field in dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ():
             hint = hints[field.name]
             simple = {hint, *typing.get_args(hint)} & {str, bool, int}
-            plain = simple or _family(hint) or {"unit", "port"} & set(field.metadata)
+            plain = simple or family_of(hint) or {"unit", "port"} & set(field.metadata)
             if issubclass(kind, STUDIED) and not plain and not issubclass(kind, Sampled):
                 open_fields.append(f"{kind.__name__}.{field.name}: {hint}")
     assert not open_fields

@@ -2,6 +2,7 @@
 
 import dataclasses
 import inspect
+import typing
 
 import jax
 import jax.numpy as jnp
@@ -289,6 +290,23 @@ def test_brake_holds_until_released():
 def test_wrong_numbers_are_refused(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+PIPE, WORD, NUMBER = jl.Pipe(1.0, 0.01, 0.02), typing.cast(typing.Any, "churchill"), typing.cast(typing.Any, 0.01)
+WRONG_LAWS = {
+    "friction must be .* got 'churchill'": lambda: jl.Line("a", PIPE, to="b", friction=WORD),
+    r"weights must be .* KagawaWeights\(...\)": lambda: jl.Line("a", PIPE, to="b", weights=WORD),
+    r"liquid must be an object such as Murnaghan\(...\) or Tait": lambda: jl.Oil(1e9, 850.0, liquid=WORD),
+    r"air must be .* FreeAir\(...\) .* got 0.01": lambda: jl.Oil(1e9, 850.0, air=NUMBER),
+    "solubility must be .* LinearSolubility": lambda: jl.KineticAir(WORD),
+    "losses must be .* got 0.01": lambda: jl.Motor("a", "b", "c", "s", 1e-4, losses=NUMBER),
+}
+
+
+@pytest.mark.parametrize("message", WRONG_LAWS)
+def test_a_law_is_an_object(message):
+    with pytest.raises(TypeError, match=message):
+        WRONG_LAWS[message]()
 
 
 def test_a_port_is_a_name():

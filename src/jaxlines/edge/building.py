@@ -13,13 +13,12 @@ import pkgutil
 import re
 import typing
 
-import equinox as eqx
 import numpy as np
 
 from jaxlines import physics
 from jaxlines.edge.units import si
 from jaxlines.physics.component import AbstractComponent
-from jaxlines.physics.fields import AbstractSignal, External
+from jaxlines.physics.fields import AbstractSignal, External, family_of
 from jaxlines.physics.fluids import Oil
 from jaxlines.physics.sensors import AbstractSensor
 from jaxlines.simulation import signals
@@ -131,7 +130,7 @@ class Builder:
             return self.driven(value, metadata, where)
         if "unit" in metadata:
             return self.numbers(value, metadata, where)
-        family = _family(hint)
+        family = family_of(hint)
         if family is not None and typing.get_origin(hint) is tuple:
             tables = value if isinstance(value, list) else [value]
             return tuple(self.choose(t, (family,), f"{where}.{i}") for i, t in enumerate(tables))
@@ -164,13 +163,6 @@ def _signal_metadata(name: str, metadata: dict, driven: dict) -> dict:
     if name == "values" or metadata.get("unit") == "1":
         return {**driven, "level": driven.get("level") and name != "amplitude"}
     return metadata
-
-
-def _family(hint) -> type | None:
-    """The family of physical objects (`AbstractContainer`, `AbstractFriction`) that an annotation asks for, if any."""
-    if isinstance(hint, type) and not typing.get_args(hint):
-        return hint if issubclass(hint, eqx.Module) and hint.__name__.startswith("Abstract") else None
-    return next((found for inner in typing.get_args(hint) if (found := _family(inner)) is not None), None)
 
 
 def _atmosphere(fluid: dict) -> float:

@@ -6,6 +6,8 @@ likely slip) is what study files, error messages and reports read, so that it is
 """
 
 import dataclasses
+import functools
+import typing
 from abc import abstractmethod
 from typing import TYPE_CHECKING, Any
 
@@ -151,8 +153,34 @@ def check_range(name: str, value, metadata: dict) -> None:
         raise ValueError(f"{name} must be {low:g}..{high:g}{suffix}, got {wrong.flat[0]:g}{suffix}{slip}")
 
 
+def family_of(hint) -> type | None:
+    """The family of physical objects (`AbstractContainer`, `AbstractFriction`) that an annotation asks for, if any."""
+    if isinstance(hint, type) and not typing.get_args(hint):
+        return hint if issubclass(hint, eqx.Module) and hint.__name__.startswith("Abstract") else None
+    return next((found for inner in typing.get_args(hint) if (found := family_of(inner)) is not None), None)
+
+
+@functools.cache
+def _laws(kind: type) -> dict[str, tuple[type, bool]]:
+    """Name of each field that holds one object of a family -> the family, and whether it may be None."""
+    hints = {name: hint for name, hint in typing.get_type_hints(kind).items() if typing.get_origin(hint) is not tuple}
+    families = {name: (family_of(hint), type(None) in typing.get_args(hint)) for name, hint in hints.items()}
+    return {name: (family, optional) for name, (family, optional) in families.items() if family is not None}
+
+
+def _check_law(label: str, value, family: type, optional: bool) -> None:
+    """Raise TypeError when a field holds something else than an object of its family."""
+    if not isinstance(value, family) and not (optional and value is None):
+        known = [kind.__name__ for kind in family.__subclasses__() if not kind.__name__.startswith("Abstract")]
+        raise TypeError(
+            f"{label} must be an object such as {' or '.join(f'{name}(...)' for name in known)}, got {value!r}"
+        )
+
+
 def check_fields(module, where: str = "") -> None:
-    """Check every number of a module against its declared range, and every port for a name."""
+    """Check every number of a module against its declared range, every port for a name, every law for its family."""
+    for name, (family, optional) in _laws(type(module)).items():
+        _check_law(f"{where}{name}", getattr(module, name), family, optional)
     for field in dataclasses.fields(module):
         value, label = getattr(module, field.name), f"{where}{field.name}"
         if "unit" in field.metadata:
