@@ -14,6 +14,7 @@ EXAMPLES = Path(jaxlines.__file__).parent / "examples"
 TEXT = (EXAMPLES / "control-line.toml").read_text(encoding="utf-8")
 TABLE = pd.read_csv(EXAMPLES / "control-line.csv")[:60]
 TIME, PRESSURE, FLOW = TABLE.columns
+HEADINGS = ",".join(TABLE.columns)
 LEAK = 'path = "leak.conductance"\nbounds = ["0 m^3/(s*Pa)", "2e-11 m^3/(s*Pa)"]'
 RESERVOIR = "[circuit.reservoir]"
 CHANNELS = 'channels = { "A.pressure" = "p_line [bar_g]", flow = "q_valve [L/min]" }'
@@ -79,9 +80,16 @@ IN_RECORDING = {
     "missing time": (with_cell(TIME, np.nan), "time column 't [s]' is empty or not finite in data row 6"),
     "no pressure": (TABLE.assign(**{PRESSURE: np.nan}), "column 'p_line [bar_g]' has no number in it"),
     "text": (with_cell(PRESSURE, "high"), "data row 6: 'high' is no number: leave the cell empty where the sample is"),
-    "second headings": (f"{TIME},{PRESSURE},{FLOW}\ns,bar,L/min\n0,1,2\n", "is this a second one?"),
-    "decimal commas": (TABLE.to_csv(index=False, sep=";", decimal=","), "columns separated by ; instead of a comma? "),
-    "tabs": (TABLE.to_csv(index=False, sep="\t"), "are columns separated by tabs instead of a comma?"),
+    "third headings": (f"{HEADINGS}\n0,1,2\nlow,high,high\n", "column 't [s]', data row 2: 'low' is no number: leave"),
+    "no numbers": ("\n".join([HEADINGS, *["low,high,high"] * 12]), "data row 1: 'low' is no number: one row of heading"),
+    "swapped headings": (
+        TABLE.rename(columns={PRESSURE: FLOW, FLOW: PRESSURE}).assign(**{PRESSURE: TABLE[FLOW] - 20}),
+        "absolute pressure falls to -1.899e+06 Pa, below zero: is the zero of the sensor wrong?",
+    ),
+    "decimal commas in a file of commas": (with_cell(PRESSURE, "1,5"), "'1,5' is no number: decimals take a point, "),
+    "time stamps": (TABLE.assign(**{TIME: "12:00:01.5"}), "is it a time stamp? Read it as (\"t [s]\", \"timestamp\")"),
+    "one column": (TABLE[[TIME]].to_csv(index=False), "no column 'p_line [bar_g]'; the file has 't [s]'"),
+    "more cells than headings": (f"{HEADINGS}\n0,1,2\n0.1,1,2,3,4\n", "cannot be read as csv ("),
     "unsorted": (TABLE.iloc[[*range(10), 11, 10, *range(12, 60)]], "(0.22 s, then 0.2 s): are rows out of order, or"),
     "repeated": (TABLE.iloc[[*range(10), 9, *range(10, 60)]], "is the time rounded too far, or a row repeated?"),
     "constant": (TABLE.assign(**{PRESSURE: 2.0}), "'A.pressure' is constant, so that nothing can be fitted to it: is "),
@@ -145,9 +153,22 @@ def test_in_a_heading(folder, capsys, column, words):
     refused(capsys, words, start="study.toml: recording: control-line.csv: ")
 
 
-def test_file_that_is_not_utf_8(folder, capsys):
-    Path("control-line.csv").write_bytes("t [s],p [bar_g],T [°C]\n".encode("latin-1"))
-    refused(capsys, "control-line.csv: cannot be read as csv (it is not UTF-8: save it so)")
+def test_file_of_ten_gigabytes(folder, capsys):
+    with open("control-line.csv", "ab") as file:
+        file.truncate(10_000_000_000)  # sparse: it takes no place
+    refused(
+        capsys, "10.0 GB of text is more than a fit can use: export the test alone, at the rate that it needs, or sa"
+    )
+
+
+SWAPPED = 'channels = { "A.pressure" = ["q_valve [L/min]", "bar_g"], flow = ["p_line [bar_g]", "L/min"] }'
+
+
+def test_swapped_columns(folder, capsys):
+    Path("study.toml").write_text(TEXT.replace(CHANNELS, SWAPPED), encoding="utf-8")
+    refused(
+        capsys, "column 'q_valve [L/min]' is in L/min by its heading, which measures flow, but A.pressure reads it in"
+    )
 
 
 @pytest.mark.parametrize(("arguments", "words"), USAGE)

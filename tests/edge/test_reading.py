@@ -145,11 +145,18 @@ def test_negative_absolute_pressure_asks_for_gauge(tmp_path):
         ("gone.csv", None, FileNotFoundError, "gone.csv: no such file"),
         ("empty.csv", "", ValueError, "empty.csv: the file is empty"),
         ("blank.csv", "\n\n", ValueError, "blank.csv: cannot be read as csv"),
-        ("run.txt", "t\n1\n", ValueError, "run.txt: recordings are read from .csv and .parquet files, not '.txt'"),
+        ("run.xlsx", "t\n1\n", ValueError, "run.xlsx: recordings are read from .csv, .* files, not '.xlsx'"),
+        ("bytes.csv", "a\0b,c\n1,2\n", ValueError, "bytes.csv: is not a text file, although its name ends like one"),
         ("run.parquet", "no parquet", ValueError, "run.parquet: cannot be read as parquet"),
         ("ragged.csv", "t [s],p\n1,2\n1,2,3,4\n", ValueError, "ragged.csv: cannot be read as csv"),
         ("few.csv", "t [s],p [bar_g],q [L/min]\n0,1,1\n1,1,1\n", ValueError, "2 samples; a recording needs 10 or more"),
-        ("semi.csv", "t [s];p [bar_g]\n0;1\n", ValueError, "are columns separated by ; instead of a comma?"),
+        ("semi.csv", "t [s];p [bar_g]\n0;1\n", ValueError, r"no column 'q \[L/min\]'|1 samples; a recording needs 10"),
+        (
+            "twice.csv",
+            "t [s],t [s]\n0,1\n",
+            ValueError,
+            r"column 't \[s\]' is there more than once: rename one of them",
+        ),
     ],
 )
 def test_bad_files_are_refused(tmp_path, name, content, error, message):
