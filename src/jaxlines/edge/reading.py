@@ -25,6 +25,7 @@ from jaxlines.physics.fields import ATMOSPHERE
 ROW_NUMBER = "#"
 RATE = "rate"
 EVERY = "every "
+_SCALED = re.compile(r"([+-]?\d+\.?\d*(?:[eE][+-]?\d+)?)\s+(\S.*)")
 _NAME_WITH_UNIT = re.compile(r"(.*\S)?\s*\[([^\[\]]+)\]\s*")
 
 
@@ -88,14 +89,16 @@ def _numbers(series, column: str, path: Path) -> np.ndarray:
 
 
 def _to_si(values, unit: str, target: str | None, where: str, atmospheric_pressure: float):
-    """Values in SI, and the SI unit. Pressures must say absolute or gauge."""
+    """Values in SI, and the SI unit. Pressures must say absolute or gauge; "40 bar_g" is what one in the file means."""
+    scaled = _SCALED.fullmatch(unit)
+    scale, unit = (float(scaled[1]), scaled[2]) if scaled else (1.0, unit)
     try:
         target = base_unit(unit) if target is None else target
         level = is_pressure(unit) or None
         factor, offset = conversion(unit, target, level=level, atmospheric_pressure=atmospheric_pressure)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from error
-    return factor * values + offset, target
+    return scale * factor * values + offset, target
 
 
 def _times(columns: Columns, spec: ColumnSpec, rows: int, path: Path) -> np.ndarray:
@@ -160,6 +163,7 @@ def read_recording(
             rows. A third word asks for another step: ("t", "s", "every 10 ms"), low-pass filtered before.
         channels: name in the circuit -> column, such as {"A.pressure": "p_line [bar_g]", "flow": ("q", "L/min")}.
             Pressures say absolute or gauge: bar_a, bar_g, psi_a, ... ("V", "mL", "rate") is the rate of change.
+            A unit with a number is what one in the file means: ("u", "40 bar_g") of volts.
 
     Other arguments:
         atmospheric_pressure: zero of the gauge pressures [Pa].

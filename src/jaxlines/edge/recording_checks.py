@@ -55,7 +55,7 @@ def pressure_warnings(values, where: str, unit: str, atmospheric_pressure: float
 
     Raises: ValueError for pressures below zero, with the likely slip.
     """
-    bare, suffix = split_level(unit)
+    bare, suffix = split_level(unit.split()[-1])
     lowest, highest = float(np.nanmin(values)), float(np.nanmax(values))
     if lowest < 0:
         slip = f"is it gauge ({bare}_g)?" if suffix == "a" else "is the zero of the sensor wrong?"
@@ -109,6 +109,8 @@ def heading_warnings(column: str, stated: str, unit: str, path: Path, what: str)
     Returns: a sentence where both measure the same. Raises: ValueError where they do not: columns are swapped.
     """
     said = unit_of(stated) if stated else heading_parts(column)[1]
+    if unit[:1].isdigit() or unit[:1] in "+-.":  # scaled: the heading may state volts
+        return []
     bare = split_level(unit)[0]
     if said is None or said in ("1", "V", "mV", "mA", "A") or split_level(said)[0] == bare:
         if said is not None and "_" in said and "_" in unit and said != unit:

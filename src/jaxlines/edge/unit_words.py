@@ -17,10 +17,10 @@ _SPELLINGS = {
 _LEVEL = re.compile(r"(bar|mbar|psi|m?pa|kpa|hpa)[ _]?[\[(]?(a|g|abs|absolute|gauge|rel|relativ|relative|ü|e)[\])]?")
 # As a last word without brackets only units that are no abbreviation of something else ("p_in", "q_min", "x_cmd").
 _LAST_WORDS = [
-    "s", "ms", "us", "sec", "bar", "mbar", "psi", "Pa", "kPa", "MPa", "hPa", "L/min", "l/min", "lpm", "gpm", "L/s", "m^3/s",
-    "mL/s", "mL", "ml", "cm^3", "m^3", "mm", "cm", "mm/s", "m/s", "rpm", "1/min", "rad/s", "deg", "rad", "kN", "Nm", "%",
-    "pct", "mV", "mA", "degC", "°C", "Hz", "kHz", "barg", "bara", "psig", "psia", "bar_g", "bar_a", "psi_g", "psi_a",
-    "Pa_g", "Pa_a", "kPa_g", "kPa_a", "MPa_g", "MPa_a",
+    "s", "ms", "us", "sec", "bar", "mbar", "psi", "Pa", "kPa", "MPa", "hPa", "L/min", "l/min", "lpm", "gpm", "L/s",
+    "m^3/s", "mL/s", "mL", "ml", "cm^3", "m^3", "mm", "cm", "mm/s", "m/s", "rpm", "1/min", "rad/s", "deg", "rad", "kN",
+    "Nm", "%", "pct", "mV", "mA", "degC", "°C", "Hz", "kHz", "barg", "bara", "psig", "psia", "bar_g", "bar_a", "psi_g",
+    "psi_a", "Pa_g", "Pa_a", "kPa_g", "kPa_a", "MPa_g", "MPa_a",
 ]  # fmt: skip
 _ABSOLUTE = ("a", "abs", "absolute")
 _SUPERSCRIPTS = str.maketrans({"²": "^2", "³": "^3", "·": "*", "μ": "u", "µ": "u"})
