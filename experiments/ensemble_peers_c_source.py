@@ -1,8 +1,9 @@
 """The source of the bound in C: 2N-storage Runge-Kutta of the servo axis, lanes innermost.
 
-One loop over the lanes of a block per stage, whose arrays stay in the first-level cache; reciprocals made once. Choices:
-the vector exp and log of the C library (libmvec), or polynomials for 2^x and log2(x) in the loop, right to some 1e-15
-(float64) or 1e-7 (float32); all four lands of the valve as the problem states them, or the open ones only.
+One loop over the lanes of a block per stage, whose arrays stay in the first-level cache; reciprocals made once. Two
+choices: the vector exp and log of the C library (libmvec), or polynomials for 2^x and log2(x) in the loop, right to
+some 1e-15 (float64) or 1e-7 (float32); and all four lands of the valve as the problem states them, or only the open
+ones, since one of the two lands of a line is always closed.
 
 Reference: Carpenter and Kennedy, "Fourth-order 2N-storage Runge-Kutta schemes", NASA TM-109112, 1994: RK4(3)5.
 """

@@ -40,8 +40,8 @@ SIZES = np.array([1e6, 1e6, 1.0, 1.0, 100.0])
 times = np.linspace(0.0, END, SAMPLES)
 command = 0.5 * np.sign(np.sin(2.0 * np.pi * times + 0.3)) * (0.3 + 0.7 * np.abs(np.sin(5.0 * times)))
 
-COLUMNS = ("volume_a", "volume_b", "bulk_modulus", "air_ratio", "polytropic_index", "leakage", "valve_gain", "inertia")
-COLUMNS = (*COLUMNS, "spool_frequency")
+COLUMNS = ("volume_a", "volume_b", "bulk_modulus", "air_ratio", "polytropic_index", "leakage", "valve_gain")
+COLUMNS = (*COLUMNS, "inertia", "spool_frequency")
 """V_A, V_B [m^3], K_l [Pa], R [-], n [-], C [m^3/(s Pa)], g [m^3/(s sqrt(Pa))], J [kg m^2], w_n [rad/s]."""
 
 
@@ -117,7 +117,7 @@ def reference(columns, lanes, tolerance: float = 1e-11, method: str = "DOP853") 
     """p_A of chosen lanes to (nearly) rounding: SciPy, started afresh at every knot of the command.
 
     Lanes are integrated together, 64 at a time. Args: columns; lanes: their indices; tolerance, relative, and
-    absolute of the states over SIZES; method: of `solve_ivp`, "LSODA" or "Radau" for the stiff variant (one by one).
+    absolute of the states over SIZES; method: of `solve_ivp`, others such as "LSODA" go one by one.
     """
     lanes, slope, derivative = np.asarray(lanes), np.diff(command) / np.diff(times), right_hand_side(np)
     width, shown = 64 if method == "DOP853" else 1, []
