@@ -190,7 +190,7 @@ class Discrete(AbstractDistribution):
     def __post_init__(self):
         object.__setattr__(self, "values", tuple(float(v) for v in self.values))
         _require(
-            bool(self.values) and np.isfinite(self.values).all(), "Discrete: values must be finite", f"{self.values}"
+            bool(self.values) and bool(np.isfinite(self.values).all()), "Discrete: values must be finite", f"{self.values}"
         )
         if self.weights is not None:
             object.__setattr__(self, "weights", tuple(float(w) for w in self.weights))

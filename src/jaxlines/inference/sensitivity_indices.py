@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-RESAMPLES = 200
+RESAMPLES = 100
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +45,7 @@ def _problem(names) -> dict:
 def _blocks(values: np.ndarray, good: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
     """Values and whether all are good, by whole blocks: shapes (blocks, size), (blocks,)."""
     whole = len(values) // size * size
-    return values[:whole].reshape(-1, size), good[:whole].reshape(-1, size).all(axis=1)
+    return values[:whole].reshape(-1, size), np.asarray(good[:whole].reshape(-1, size).all(axis=1))
 
 
 def _with_failures(values: np.ndarray, good: np.ndarray, size: int, estimate) -> tuple[dict, dict, dict, int, int]:

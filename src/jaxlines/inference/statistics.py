@@ -90,8 +90,9 @@ def exceedance(threshold: float, above: int, good: int, failed: int) -> Exceedan
     if not good:
         return Exceedance(threshold, np.nan, (0.0, 1.0), (0.0, 1.0), (0.0, 1.0))
     test, every = binomtest(above, good), good + failed
-    wilson, exact = (tuple(float(x) for x in test.proportion_ci(0.95, method)) for method in ("wilson", "exact"))
-    return Exceedance(threshold, above / good, wilson, exact, (above / every, (above + failed) / every))
+    wilson, exact = (test.proportion_ci(0.95, method) for method in ("wilson", "exact"))
+    intervals = (float(wilson.low), float(wilson.high)), (float(exact.low), float(exact.high))
+    return Exceedance(threshold, above / good, *intervals, (above / every, (above + failed) / every))
 
 
 class Accumulator:
