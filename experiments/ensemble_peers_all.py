@@ -68,10 +68,12 @@ def axis_peers(columns, reference: Reference, few, repeats: int = 3) -> Peers:
 
 
 def _vmapped(columns, reference: Reference, repeats: int) -> list[Row]:
-    """vmap(diffrax Tsit5), with steps over the knots of the command and ending on them."""
+    """vmap(diffrax Tsit5): steps over the knots of the command, or ending on them; and on the circuit's own field."""
     over = _by_tolerance(lambda x: vmapped.vmap_tsit5(columns, x, repeats=repeats), TOLERANCES[1:4])
     ending = _by_tolerance(lambda x: vmapped.vmap_tsit5(columns, x, repeats=repeats, at_knots=True), (1e-4,))
+    circuit = _by_tolerance(lambda x: vmapped.vmap_circuit(columns, x, repeats=repeats), (1e-5,))
     runs = over | {f"{name}, steps end on knots": run for name, run in ending.items()}
+    runs |= {f"{name}, on the circuit": run for name, run in circuit.items()}
     return _rows("vmap(diffrax Tsit5)", "float64", reference, runs)
 
 

@@ -158,3 +158,12 @@ def vmap_tsit5(columns, tolerance: float, **tuning) -> Run:
 def vmap_kvaerno5(columns, tolerance: float, **tuning) -> Run:
     """The same by Kvaerno5 with a healthy root finder, for the stiff variant."""
     return vmap_diffrax(axis.matrix(columns), axis_lane(), tolerance, implicit=True, **tuning)
+
+
+def vmap_circuit(columns, tolerance: float, **tuning) -> Run:
+    """The servo axis by Tsit5 on the vector field of its circuit, in place of the plain right-hand side."""
+    paths = axis.varied(columns)
+    with jax.enable_x64(True):
+        program = axis.compiled(axis.circuit(), paths, axis.initial(), axis.inputs())
+        lane = circuit_lane(program, "A", axis.times)
+    return vmap_diffrax(np.stack(list(paths.values()), axis=-1), lane, tolerance, **tuning)

@@ -158,10 +158,12 @@ def test_one_by_one_peers(load, truth):
 
 @pytest.mark.slow
 def test_diffrax_peers(load, axis, truth):
-    """vmap over chunks gives lanes back in their order; Kvaerno5 solves the same problem."""
+    """vmap over chunks gives lanes back in their order, on the circuit as well; Kvaerno5 solves the same problem."""
     peers, vmapped = load("ensemble_peers"), load("ensemble_peers_diffrax")
     columns, reference = truth
     found = peers.errors(vmapped.vmap_tsit5(columns, 1e-5, chunk=24, repeats=1).pressure, reference)
+    assert (found.failed, found.rms < 300.0) == (0, True)
+    found = peers.errors(vmapped.vmap_circuit(columns, 1e-5, repeats=1).pressure, reference)
     assert (found.failed, found.rms < 300.0) == (0, True)
     few = {name: value[[0, 41]] for name, value in columns.items()}
     run = vmapped.vmap_kvaerno5(few, 1e-5, repeats=1)
