@@ -1,141 +1,104 @@
-"""Fit a circuit to a recording: estimates, uncertainty, and what the recording cannot tell."""
+"""Fit a circuit to recordings: estimates, uncertainty, and what the recordings cannot tell."""
 
-import dataclasses
 import time
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
-from jaxlines.inference.analysis import Analysis, analyse, channel_fits, conditional_range, influences
+from jaxlines.inference.analysis import ChannelFit, analyse, channel_fits
+from jaxlines.inference.checkpoint import Memory, open_memory, problem_key
 from jaxlines.inference.curves import check_derived, derived_estimate, line_curves
-from jaxlines.inference.fit_result import Fit
+from jaxlines.inference.fit_result import Fit, FittedRun
+from jaxlines.inference.fit_setup import (
+    Numerics,
+    Setup,
+    estimated_levels,
+    make_setup,
+    named_recordings,
+    with_measured_noise,
+)
+from jaxlines.inference.influences import conditional_range, influences
+from jaxlines.inference.input_noise import InputNoise, as_input_noise
+from jaxlines.inference.joint import JointProblem
+from jaxlines.inference.loss import Loss
+from jaxlines.inference.noise import Noise
 from jaxlines.inference.parameters import Free, Known
-from jaxlines.inference.problem import Problem, make_problem
 from jaxlines.inference.recording import Recording
-from jaxlines.inference.search import Failed, Found, estimate_sigma, search, start_points
+from jaxlines.inference.recording_faults import find_faults
+from jaxlines.inference.search import Failed, Found, search
+from jaxlines.inference.starts import Start, best_of, start_points
 from jaxlines.inference.uncertainty import p_value_text
 from jaxlines.simulation.circuit import Circuit
 from jaxlines.simulation.integration import make_method
-from jaxlines.simulation.result import MESSAGES
+from jaxlines.simulation.result import MESSAGES, Simulation
 from jaxlines.simulation.simulate import simulate
 
 Progress = Callable[[str, float], None]
 
-
-class MeasuredStart(NamedTuple):
-    """A start value taken from the first usable sample of a channel; gain: of the sensor that shows it."""
-
-    name: str
-    channel: str
-    value: float
-    gain: float
+_ROUNDS = 12
+"""At most this many times are noise levels and parameters estimated in turn."""
 
 
-def _measured_start(circuit: Circuit, recording: Recording, name: str) -> MeasuredStart | None:
-    """The start value of a quantity from the channel that shows it, or from a sensor that reads it."""
-    shown = {name: (0.0, 1.0)}
-    for sensor_name, sensor in circuit.sensors().items():
-        if sensor.quantity_read() == name and sensor.quantity_subtracted() is None:
-            zero, slope = float(sensor.read(0.0, circuit.fluid)), float(sensor.slope(circuit.fluid))
-            shown[sensor_name] = (zero, slope)
-    for channel, (zero, slope) in shown.items():
-        if channel in recording.channels and recording.mask[channel].any() and slope != 0.0:
-            first = float(recording.channels[channel][np.argmax(recording.mask[channel])])
-            return MeasuredStart(name, channel, (first - zero) / slope, slope)
-    return None
+def _settle_noise(
+    problem: JointProblem, best: Found, noise: dict[str, Noise], memory: Memory, say: Progress
+) -> tuple[JointProblem, Found, dict[str, Noise], int]:
+    """Estimate unknown noise levels and repeat the search until they settle.
 
-
-def _measured_starts(circuit: Circuit, recording: Recording, free, initial: dict) -> tuple[dict, list[MeasuredStart]]:
-    """Start pressures taken from the recording, where they are neither free nor given."""
-    initial, starts = dict(initial), []
-    taken = {path for parameter in free for path in parameter.paths}
-    for node, domain in circuit.nodes().items():
-        name = f"{node}.pressure"
-        wanted = initial.get(name) == "measured"
-        implied = name not in initial and f"initial.{name}" not in taken
-        if domain != "hydraulic" or node in circuit.fixed_nodes() or not (wanted or implied):
-            continue
-        start = _measured_start(circuit, recording, name)
-        if start is not None:
-            initial[name] = start.value
-            starts.append(start)
-        elif wanted:
-            raise ValueError(f'initial {name} cannot be "measured": the recording has no usable channel that shows it')
-    return initial, starts
-
-
-def _first_sigma(problem: Problem, noise: dict[str, float]) -> np.ndarray:
-    """Given noise levels, else one per cent of the channel's range to begin with."""
-    measured = np.where(problem.used, problem.measured, np.nan)
-    spread = np.nanmax(measured, axis=0) - np.nanmin(measured, axis=0)
-    guess = np.where(spread > 0, 0.01 * spread, 1.0)
-    return np.array([noise.get(name, guess[i]) for i, name in enumerate(problem.wanted)])
-
-
-def _check_noise(problem: Problem, noise: dict[str, float]) -> None:
-    """Raise for noise of an unknown channel or a level that is not positive."""
-    for name, level in noise.items():
-        if name not in problem.wanted:
-            raise ValueError(f"noise is given for {name!r}, which is not fitted; fitted: {', '.join(problem.wanted)}")
-        if not (np.isfinite(level) and level > 0):
-            raise ValueError(f"noise of {name} must be positive, got {level:g}")
-
-
-def _best_of(problem: Problem, sigma, starts: np.ndarray, say: Progress) -> tuple[Found, int, list[str]]:
-    """The best end point of several searches, the number of evaluations, and what went wrong on the way."""
-    found: list[Found] = []
-    trouble, evaluations = [], 0
-    for number, start in enumerate(starts):
-
-        def report(count, cost, number=number):
-            share = (number + 1.0 - np.exp(-count / 15.0)) / len(starts)
-            say(f"start {number + 1} of {len(starts)}, evaluation {count}, cost {cost:.5g}", 0.9 * share)
-
-        try:
-            found.append(search(problem, start, sigma, report))
-            evaluations += found[-1].num_evaluations
-        except Failed as failure:
-            trouble.append(f"start {number + 1}: {failure}")
-    if not found:
-        raise Failed("; ".join(trouble))
-    best = min(found, key=lambda f: f.cost)
-    agree = sum(f.cost < best.cost * (1 + 1e-3) + 1e-9 for f in found)
-    if len(starts) > 1:
-        trouble.append(f"{agree} of {len(starts)} starts reached the best optimum")
-    return best, evaluations, trouble
-
-
-def _settle_noise(problem: Problem, best: Found, noise: dict, say: Progress) -> tuple[Found, np.ndarray, int]:
-    """Estimate unknown noise levels and repeat the search until their ratios settle (one channel: at once)."""
-    evaluations = 0
-    sigma = _first_sigma(problem, noise)
-    for _ in range(6):
-        fresh = estimate_sigma(problem, best.simulated)
-        fresh = np.array([noise.get(name, fresh[i]) for i, name in enumerate(problem.wanted)])
-        ratio = (fresh / sigma) / (fresh / sigma)[0]
-        settled = bool(np.all(np.abs(ratio - 1.0) < 0.02)) and not noise
-        sigma = fresh
-        if settled or len(problem.wanted) == 1:
+    Without priors, given levels or a robust loss only their ratios matter, so that one channel is done at once.
+    """
+    evaluations, levels = 0, dict(noise)
+    given = any(not (of.absolute is None and of.uniform) for of in noise.values())
+    given |= any(trial.recording.noise for trial in problem.trials)
+    scaled = given or problem.loss.kind != "gauss" or problem.prior_residuals(best.values).size > 0
+    if not any(of.estimated for of in noise.values()):
+        return problem, best, levels, 0
+    for turn in range(_ROUNDS):
+        levels, fresh = estimated_levels(problem, noise, best.simulated)
+        parts = zip(fresh, problem.sigma, problem.trials, strict=True)
+        ratio = np.concatenate([(f / s)[trial.used] for f, s, trial in parts])
+        change = np.max(np.abs(ratio / (1.0 if scaled else ratio[0]) - 1.0))
+        problem = problem.with_sigma(fresh)
+        settled = change < (1e-3 if scaled else 0.02)
+        if settled or (not scaled and len(noise) == 1):
             break
-        best = search(
-            problem, best.coordinates, sigma, lambda n, c: say(f"noise levels, evaluation {n}, cost {c:.5g}", 0.9)
-        )
+
+        def report(count, cost):
+            say(f"noise levels, evaluation {count}, cost {cost:.5g}", 0.9)
+
+        best = search(problem, best.coordinates, report, stage=f"noise {turn}", memory=memory)
         evaluations += best.num_evaluations
-    return best, sigma, evaluations
+    return problem, best, levels, evaluations
+
+
+def _faults(problem: JointProblem) -> list[str]:
+    """What looks wrong with the recordings, beside a simulation at the start. Raises ValueError for a grave fault."""
+    warnings = []
+    for trial, simulated in zip(problem.trials, problem.predict(problem.to_values(problem.start)), strict=True):
+        shown = {name: simulated[:, i] for i, name in enumerate(trial.wanted)}
+        for fault in find_faults(trial.recording, shown, dict(zip(trial.wanted, trial.units, strict=True))):
+            if fault.grave:
+                raise ValueError(f"{fault.text} (fit(..., check=False) goes on all the same)")
+            warnings.append(fault.text)
+    return warnings
 
 
 def fit(
     circuit: Circuit,
-    recording: Recording,
+    recording: Recording | Sequence[Recording],
     *,
     free: Sequence[Free],
     known: Sequence[Known] = (),
-    noise: dict[str, float] | None = None,
-    initial: dict | None = None,
+    noise: dict | None = None,
+    initial: dict | str | None = None,
     derived: Sequence[str] = (),
+    loss: str = "gauss",
+    loss_scale: float | None = None,
+    input_noise: dict | None = None,
     starts: int = 1,
+    sampling: str = "sobol",
     seed: int = 0,
+    checkpoint=None,
+    check: bool = True,
     solver=None,
     tolerance: float = 1e-7,
     max_steps: int = 100_000,
@@ -143,20 +106,30 @@ def fit(
     interpolation: str = "linear",
     progress: Progress | None = None,
 ) -> Fit:
-    """Fit a circuit to a recording by bounded nonlinear least squares with an exact Jacobian.
+    """Fit a circuit to one or several recordings by bounded nonlinear least squares with an exact Jacobian.
 
     Main arguments:
         circuit: the model; its external inputs are driven by channels of the same names.
-        recording: measured channels; those that are outputs of the circuit are fitted.
-        free: what to estimate.
+        recording: measured channels; those that are outputs of the circuit are fitted. A list of them is fitted
+            together: each has its own inputs, length, start values and `conditions`; parameters are shared unless
+            they are `Free(..., local=True)`.
+        free: what to estimate: numbers of the circuit, start values ("initial.A.pressure"), gain, offset, lag and delay
+            of sensors, and "spool.delay", "spool.gain", "spool.offset" of a recorded input `spool`.
         known: numbers held fixed whose standard uncertainty is carried into the result.
 
     Other arguments:
-        noise: channel -> standard deviation in SI; estimated from the residuals where it is not given.
+        noise: channel -> standard deviation in SI, or a `Noise` (absolute, relative); estimated where not given.
         initial: potential or state -> start value in SI, or "measured" (the first usable sample, with the noise
-            of its channel as uncertainty; the default for a node whose pressure is a channel and not free).
+            of its channel as uncertainty; the default for a node whose pressure is a channel and not free); "steady":
+            every recording starts in the steady state of its first inputs, which moves with the parameters.
         derived: numbers to report with uncertainty, such as "line.effective_bulk_modulus" (at the median pressure).
-        starts: number of searches: the given start, then points of a Sobol sequence (`seed`) within the bounds.
+        loss, loss_scale: "gauss", "huber" or "student", see `Loss`; the last two bear outliers.
+        input_noise: input -> standard deviation of its samples, or an `InputNoise` (white, gain, offset), carried into
+            the result.
+        starts, sampling, seed: number of searches: the given start, then points of a "sobol" sequence or a "latin"
+            hypercube within the bounds; `Fit.starts` says where each ended.
+        checkpoint: a file that is written at every accepted iterate; if it is there, the fit goes on from it.
+        check: look for faults of the recordings first (see `find_faults`); a grave one is an error.
         solver, tolerance, max_steps, precision: as in `simulate`.
         interpolation: between samples of the input channels: "linear", "cubic" or "hold".
         progress: called with a text and a fraction done while the fit works.
@@ -170,79 +143,129 @@ def fit(
         raise ValueError(f"starts must be at least 1, got {starts}")
     for name in derived:
         check_derived(circuit, name)
-    initial, measured = _measured_starts(circuit, recording, free, initial or {})
-    method = make_method(solver, "forward", max_steps)
     say("compiling the model", 0.0)
-    starting = [Known(f"initial.{s.name}", 1.0) for s in measured]  # their noise is written in once it is known
-    problem = make_problem(
-        circuit, recording, free, [*known, *starting], initial, method, tolerance, precision, interpolation
-    )
-    noise = dict(noise or {})
-    _check_noise(problem, noise)
+    numerics = Numerics(make_method(solver, "forward", max_steps), tolerance, precision, interpolation)
+    inputs, recordings = as_input_noise(input_noise), named_recordings(recording)
+    shape = Loss(loss, loss_scale)
+    setup = make_setup(circuit, recordings, free, known, dict(noise or {}), initial, shape, inputs, numerics)
+    points = start_points(setup.problem, starts, seed, sampling)
+    memory = open_memory(checkpoint, problem_key(setup.problem, setup.noise, inputs, points.tolist()))
+    faults = _faults(setup.problem) if check else []
     try:
-        best, count, remarks = _best_of(problem, _first_sigma(problem, noise), start_points(problem, starts, seed), say)
-        best, sigma, more = _settle_noise(problem, best, noise, say)
+        best, table, remarks = best_of(setup.problem, points, memory, say)
+        problem, best, levels, more = _settle_noise(setup.problem, best, setup.noise, memory, say)
     except Failed as failure:
         return Fit.failure(circuit, str(failure), time.perf_counter() - began)
+    memory.write()
     say("uncertainty", 0.92)
-    problem = _with_measured_noise(problem, measured, sigma)
-    analysis = analyse(problem, best, sigma)
-    return _result(problem, best, sigma, analysis, derived, remarks, count + more, began, noise)
+    problem = with_measured_noise(setup, problem)
+    count = sum(start.num_evaluations for start in table) + more
+    said = [*faults, *remarks]
+    return _result(problem, best, setup, levels, inputs, derived, said, table, memory, count, began)
 
 
-def _with_measured_noise(problem: Problem, starts: list[MeasuredStart], sigma: np.ndarray) -> Problem:
-    """The problem with the noise of the channels as uncertainty of the start values taken from them."""
-    level = dict(zip(problem.wanted, sigma, strict=True))
-    noise = {f"initial.{s.name}": float(level[s.channel] / abs(s.gain)) for s in starts}
-    known = tuple(dataclasses.replace(k, sd=noise.get(k.path, k.sd)) for k in problem.known)
-    return dataclasses.replace(problem, known=known)
+def _simulations(problem: JointProblem, best: Found) -> list[tuple[FittedRun, Simulation]]:
+    """Every recording simulated anew with the fitted numbers, by the public way."""
+    runs = []
+    for i, trial in enumerate(problem.trials):
+        fitted, initial, inputs = trial.with_numbers(problem.own(i, best.values))
+        simulation = simulate(
+            fitted,
+            trial.recording.times,
+            inputs,
+            initial=initial,
+            solver=trial.method.solver,
+            tolerance=trial.tolerance,
+            max_steps=trial.method.max_steps,
+            precision=trial.precision,
+            throw=False,
+        )
+        usable = simulation.status in ("ok", "tension")
+        validity = simulation.validity() if usable else None
+        runs.append((FittedRun(trial.recording.name, fitted, initial, inputs, simulation.status, validity), simulation))
+    return runs
 
 
-def _result(problem: Problem, best: Found, sigma, analysis: Analysis, derived, remarks, count, began, noise) -> Fit:
-    """Put the result together."""
-    fitted, initial, inputs = problem.with_numbers(best.values)
-    channels = channel_fits(problem, best, sigma)
-    simulation = simulate(
-        fitted,
-        problem.recording.times,
-        inputs,
-        initial=initial,
-        solver=problem.method.solver,
-        tolerance=problem.tolerance,
-        max_steps=problem.method.max_steps,
-        precision=problem.precision,
-        throw=False,
-    )
-    curves = line_curves(problem, best, analysis, simulation)
-    parameters, conditional = conditional_range(problem, best, sigma, analysis.estimates)
-    warnings = [*problem.recording.warnings, *remarks, *conditional, *analysis.warnings]
+def _warnings(channels: dict[str, ChannelFit], noise: dict[str, Noise], loss: Loss) -> list[str]:
+    """What the residuals say against the model or the noise that was given."""
+    warnings = []
     for name, channel in channels.items():
         if not channel.white:
             warnings.append(
                 f"residuals of {name} are not white (Ljung-Box {p_value_text(channel.whiteness_p)}): the model misses "
                 "something that the recording shows, and the intervals are too narrow"
             )
-        if name in noise and not 0.5 < channel.rmse / noise[name] < 2.0:
-            warnings.append(f"residuals of {name} are {channel.rmse / noise[name]:.2g} times the noise that was given")
-    usable = simulation.status in ("ok", "tension")
-    if simulation.status == "tension":
-        warnings.append(f"at the optimum {MESSAGES['tension']}")
-    validity = simulation.validity() if usable else None
+        of = noise[name.partition(" [")[0]]
+        if loss.kind == "gauss" and not of.estimated and not 0.5 < channel.rmse / channel.sigma < 2.0:
+            ratio = channel.rmse / channel.sigma
+            warnings.append(f"residuals of {name} are {ratio:.2g} times the noise that was given")
+    return warnings
+
+
+def _status(problem: JointProblem, best: Found, runs) -> tuple[str, str, list[str]]:
+    """Status and message after the second simulation, and what it says."""
+    warnings = []
+    parts = zip(runs, problem.trials, best.simulated, problem.sigma, strict=True)
+    for (run, simulation), trial, shown, sigma in parts:
+        where = f"{run.name}: " if len(runs) > 1 else ""
+        if run.validity is None:
+            return "failed", f"{where}simulation at the optimum: {MESSAGES[run.status]}", warnings
+        if run.status == "tension":
+            warnings.append(f"{where}at the optimum {MESSAGES['tension']}")
+        again = np.stack([np.asarray(simulation[name]) for name in trial.wanted], axis=1)
+        apart = float(np.max(np.abs(again - shown)[trial.used] / sigma[trial.used], initial=0.0))
+        if apart > 1.0:
+            warnings.append(
+                f"{where}a second simulation at the optimum differs by up to {apart:.2g} noise levels: "
+                "lower the tolerance"
+            )
+    return best.status, best.message, warnings
+
+
+def _result(
+    problem: JointProblem,
+    best: Found,
+    setup: Setup,
+    noise: dict[str, Noise],
+    input_noise: dict[str, InputNoise],
+    derived: Sequence[str],
+    remarks: list[str],
+    table: list[Start],
+    memory: Memory,
+    count: int,
+    began: float,
+) -> Fit:
+    """Put the result together."""
+    analysis = analyse(problem, best, input_noise)
+    channels = channel_fits(problem, best)
+    runs = _simulations(problem, best)
+    status, message, seen = _status(problem, best, runs)
+    simulations = [simulation for _, simulation in runs if simulation.status in ("ok", "tension")]
+    parameters, conditional = conditional_range(problem, best, analysis.estimates, memory)
+    warnings = [w for trial in problem.trials for w in trial.recording.warnings]
+    warnings += [*remarks, *conditional, *analysis.warnings, *_warnings(channels, setup.noise, problem.loss), *seen]
+    first = runs[0][0]
     return Fit(
-        status=best.status if usable else "failed",
-        message=best.message if usable else f"simulation at the optimum: {MESSAGES[simulation.status]}",
+        status=status,
+        message=message,
         parameters=parameters,
-        derived={name: derived_estimate(problem, best, analysis, simulation, name) for name in derived},
+        derived={name: derived_estimate(problem, best, analysis, simulations, name) for name in derived},
         correlations=analysis.correlations,
         channels=channels,
-        curves=curves,
+        curves=line_curves(problem, best, analysis, simulations),
         identifiability=analysis.identifiability,
-        scale=influences(problem, best, sigma, analysis),
+        scale=influences(problem, best, analysis),
         singular_values=analysis.covariance.singular_values,
-        warnings=tuple(warnings),
-        validity=validity,
-        circuit=fitted,
-        initial=initial,
+        warnings=tuple(dict.fromkeys(warnings)),
+        validity=next((run.validity for run, _ in runs if run.validity and not run.validity.ok), first.validity),
+        circuit=first.circuit,
+        initial=first.initial if isinstance(first.initial, dict) else {},
         num_evaluations=count,
         seconds=time.perf_counter() - began,
+        runs=tuple(run for run, _ in runs),
+        starts=tuple(table),
+        noise=noise,
+        log_likelihood=problem.log_likelihood(best.simulated),
+        problem=problem,
+        coordinates=best.coordinates,
     )

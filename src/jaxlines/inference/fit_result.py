@@ -1,14 +1,30 @@
 """What a fit returns, and how it reads."""
 
 import dataclasses
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxlines.inference.analysis import ChannelFit
 from jaxlines.inference.curves import Curve
+from jaxlines.inference.joint import JointProblem
+from jaxlines.inference.noise import Noise
+from jaxlines.inference.starts import Start
 from jaxlines.inference.uncertainty import Estimate, p_value_text
 from jaxlines.simulation.circuit import Circuit
 from jaxlines.simulation.validity import Validity
+
+
+class FittedRun(NamedTuple):
+    """A recording after a fit: the circuit, start values (or "steady") and inputs with the fitted numbers, to simulate
+    on; status of the second simulation, and validity of the lumped model in it (None where it failed)."""
+
+    name: str
+    circuit: Circuit
+    initial: dict | str
+    inputs: dict
+    status: str
+    validity: Validity | None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -16,15 +32,19 @@ class Fit:
     """A fitted circuit.
 
     Fields:
-        status: "converged", "at_bound", "stalled" or "failed", judged from the gradient at the end point and a
-            second simulation there; message: the same in words.
+        status: "converged", "at_bound", "near_failure" (simulations fail within a few standard errors), "stalled" or
+            "failed", judged from the gradient at the end point and a second simulation there; message: in words.
         parameters: name -> Estimate; derived: the same for derived numbers.
         correlations: of the free parameters in the order of `parameters`, shape (free, free).
-        channels: name -> ChannelFit; curves: line -> Curve.
+        channels: name -> ChannelFit, with several recordings "A.pressure [run 3]"; curves: line -> Curve.
         identifiability: what cannot be told apart; scale: what the result rests on; warnings, in words.
         singular_values: of the Jacobian scaled by the bounds, largest first (below 3.5: left open).
-        validity: of the lumped model in the fitted circuit; None when it could not be simulated.
-        circuit, initial: with the fitted numbers, to simulate on; num_evaluations; seconds.
+        validity: of the lumped model in the fitted circuit (of the first recording in which it is not valid, else of
+            the first); None when it could not be simulated.
+        circuit, initial: with the fitted numbers of the first recording, to simulate on; num_evaluations; seconds.
+        runs: one a recording, see `FittedRun`; starts: where each search ended, best first.
+        noise: channel -> Noise as given or estimated; log_likelihood: at the optimum, without priors.
+        problem, coordinates: the least-squares problem and the optimum in its coordinates, for profiles and the like.
     """
 
     status: str
@@ -43,6 +63,12 @@ class Fit:
     initial: dict[str, float]
     num_evaluations: int
     seconds: float
+    runs: tuple[FittedRun, ...] = ()
+    starts: tuple[Start, ...] = ()
+    noise: dict[str, Noise] = dataclasses.field(default_factory=dict)
+    log_likelihood: float | None = None
+    problem: JointProblem | None = dataclasses.field(default=None, repr=False)
+    coordinates: np.ndarray | None = dataclasses.field(default=None, repr=False)
 
     @staticmethod
     def failure(circuit: Circuit, message: str, seconds: float) -> "Fit":

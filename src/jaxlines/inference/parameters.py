@@ -4,6 +4,9 @@ import dataclasses
 
 import numpy as np
 
+from jaxlines.inference.distributions import AbstractDistribution
+from jaxlines.inference.priors import Prior, as_prior
+
 TRANSFORMS = ("identity", "log", "logit")
 
 
@@ -19,8 +22,12 @@ class Free:
         transform: coordinate in which the search runs and intervals are formed: "identity", "log" (positive
             numbers known to an order of magnitude) or "logit" (numbers that must stay inside their bounds).
         name: how results call it; the first path by default.
+        ratios: with several paths, the number at each is the value times its ratio (all 1 by default).
+        local: one value for each recording (labels then end in the recording's name), instead of one for all.
+        prior: what is known of the value beforehand: a distribution, such as Normal(1.4e9, 1e8). Its ends narrow the
+            bounds. See `Prior` for what a fit makes of it.
     Raises: ValueError for bounds that are not finite and increasing, a start outside them, a log transform
-        with a bound that is not positive, an unknown transform.
+        with a bound that is not positive, an unknown transform, ratios that are not one a path.
     """
 
     path: str | tuple[str, ...]
@@ -28,8 +35,14 @@ class Free:
     start: float | None = None
     transform: str = "identity"
     name: str = ""
+    ratios: tuple[float, ...] | None = None
+    local: bool = False
+    prior: Prior | AbstractDistribution | None = None
 
     def __post_init__(self):
+        object.__setattr__(self, "prior", as_prior(self.prior))
+        object.__setattr__(self, "bounds", self._within_prior())
+        self._check_ratios()
         low, high = (float(b) for b in self.bounds)
         if self.transform not in TRANSFORMS:
             raise ValueError(f"{self.label}: transform must be one of {', '.join(TRANSFORMS)}, got {self.transform!r}")
@@ -46,10 +59,38 @@ class Free:
         if self.transform == "logit" and self.start in (low, high):
             raise ValueError(f"{self.label}: a logit transform cannot start on a bound, got {self.start:g}")
 
+    def _within_prior(self) -> tuple[float, float]:
+        """The bounds, narrowed by the ends of the prior. Raises ValueError when nothing is left."""
+        if not isinstance(self.prior, Prior):
+            return self.bounds
+        low, high = (float(b) for b in self.bounds)
+        ends = max(low, self.prior.support[0]), min(high, self.prior.support[1])
+        if low < high and not ends[0] < ends[1]:
+            raise ValueError(
+                f"{self.label}: the prior ({self.prior}) leaves nothing of the bounds {low:g}..{high:g}: other units?"
+            )
+        return ends
+
+    def _check_ratios(self) -> None:
+        """Make ratios a tuple of floats. Raises ValueError unless there is one a path, finite and not 0."""
+        if self.ratios is None:
+            return
+        object.__setattr__(self, "ratios", tuple(float(r) for r in self.ratios))
+        if len(self.ratios) != len(self.paths) or not np.all(np.isfinite(self.ratios)) or 0.0 in self.ratios:
+            raise ValueError(
+                f"{self.label}: ratios must be one finite number other than 0 for each of the {len(self.paths)} "
+                f"paths, got {self.ratios}"
+            )
+
     @property
     def paths(self) -> tuple[str, ...]:
         """All paths that the parameter drives."""
         return (self.path,) if isinstance(self.path, str) else tuple(self.path)
+
+    @property
+    def path_ratios(self) -> tuple[float, ...]:
+        """The ratio of the number at each path to the value."""
+        return (1.0,) * len(self.paths) if self.ratios is None else self.ratios
 
     @property
     def label(self) -> str:

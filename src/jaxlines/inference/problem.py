@@ -1,18 +1,28 @@
-"""A circuit and a recording as residuals and an exact Jacobian, on a program compiled once per topology."""
+"""A circuit and one recording: simulated channels and their exact slopes, on a program compiled once per topology."""
 
 import dataclasses
-import math
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from jaxlines.inference.parameter_checks import (
+    check_parameters as check_parameters,
+    number_metadata as number_metadata,
+)
 from jaxlines.inference.parameters import Free, Known
+from jaxlines.inference.programs import (
+    Place,
+    bucket as bucket,
+    predict_program as _predict,
+    prediction as prediction,
+    sensitivity as sensitivity,
+    sensitivity_program as _sensitivities,
+)
 from jaxlines.inference.recording import Recording
-from jaxlines.simulation.assembly import Location, compile_circuit, number_locations, set_numbers
-from jaxlines.simulation.circuit import Circuit, field_metadata
+from jaxlines.simulation.assembly import compile_circuit, number_locations
+from jaxlines.simulation.circuit import Circuit
 from jaxlines.simulation.inputs import bind_inputs
-from jaxlines.simulation.integration import Method, integrate, integrate_with_sensitivities
+from jaxlines.simulation.integration import Method
 from jaxlines.simulation.observation import quantities, sensor_units
 from jaxlines.simulation.paths import replace_leaves, resolve
 from jaxlines.simulation.plan import Plan, Values
@@ -20,54 +30,6 @@ from jaxlines.simulation.precision import cast, computing_in
 from jaxlines.simulation.result import MESSAGES, STATUS
 from jaxlines.simulation.segments import choose_segments
 from jaxlines.simulation.signals import Sampled
-
-
-def bucket(size: int) -> int:
-    """The next size of the form 2^k or 1.5 * 2^k, so that recordings of similar length share a program."""
-    power = 2 ** math.ceil(math.log2(max(size, 16)))
-    return 3 * power // 4 if size <= 3 * power // 4 else power
-
-
-def prediction(plan, wanted, method, locations, numbers, values, times, tolerance):
-    """Outputs (times, channels) and status for the numbers at some locations."""
-    found = integrate(plan, wanted, method, set_numbers(values, locations, numbers), times, tolerance)
-    return found.outputs, found.status
-
-
-def sensitivity(plan, wanted, method, locations, groups, numbers, sizes, values, times, tolerance):
-    """Outputs, d outputs / d parameters (times, channels, parameters) and status, by forward sensitivities.
-
-    `groups` gives for each parameter the positions of the numbers that it drives, `sizes` a large change of it.
-    """
-    leaves, structure = jax.tree.flatten(set_numbers(values, locations, numbers))
-    touched = sorted({position for position, _ in locations})
-
-    def rebuild(moved):
-        return jax.tree.unflatten(structure, _replaced(leaves, touched, moved))
-
-    def move(shift):
-        moved = numbers
-        for parameter, members in enumerate(groups):
-            moved = moved.at[np.asarray(members)].add(shift[parameter] * sizes[parameter])
-        every = jax.tree.leaves(set_numbers(values, locations, moved))
-        return [every[position] for position in touched]
-
-    start = jnp.zeros(len(groups), numbers.dtype)
-    slopes = [jnp.moveaxis(s, -1, 0) for s in jax.jacfwd(move)(start)]
-    found, output_slopes = integrate_with_sensitivities(
-        plan, wanted, method, rebuild, move(start), slopes, times, tolerance
-    )
-    return found.outputs, output_slopes / sizes, found.status
-
-
-def _replaced(leaves: list, positions: list[int], new: list) -> list:
-    """Leaves with those at some positions replaced."""
-    given = dict(zip(positions, new, strict=True))
-    return [given.get(position, leaf) for position, leaf in enumerate(leaves)]
-
-
-_predict = jax.jit(prediction, static_argnums=(0, 1, 2, 3))
-_sensitivities = jax.jit(sensitivity, static_argnums=(0, 1, 2, 3, 4))
 
 
 def set_on_host(values: Values, location, factor: float = 1.0, value: float | None = None) -> Values:
@@ -81,13 +43,17 @@ def set_on_host(values: Values, location, factor: float = 1.0, value: float | No
     return jax.tree.unflatten(structure, leaves)
 
 
+INPUT_NUMBERS = ("gain", "offset")
+"""Numbers of a recorded input that a fit can free beside its delay: true value = gain * recorded value + offset."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Problem:
-    """Everything that stays the same while a fit searches.
+    """What stays the same of one recording while a fit searches.
 
-    Fields: circuit, recording, free, known; plan and values of the compiled circuit; wanted: fitted channels;
-    inputs bound to signals; locations: where the numbers of free and known parameters are; groups: which of
-    them each parameter drives.
+    Fields: circuit under the conditions of the recording, recording, free, known; plan and values of the compiled
+    circuit; wanted: fitted channels; inputs bound to signals; locations: where free and known parameters act; groups:
+    which of these places each parameter drives; steady: whether it starts in the steady state.
     """
 
     circuit: Circuit
@@ -103,9 +69,10 @@ class Problem:
     method: Method
     precision: str
     tolerance: float
-    locations: tuple[Location, ...]
+    locations: tuple[Place, ...]
     groups: tuple[tuple[int, ...], ...]
     known_values: np.ndarray
+    steady: bool = False
 
     @property
     def measured(self) -> np.ndarray:
@@ -128,7 +95,7 @@ class Problem:
         known = np.maximum(np.abs(self.known_values), [k.sd for k in self.known])
         return np.concatenate([[f.bounds[1] - f.bounds[0] for f in self.free], known])
 
-    def _arguments(self, free_values):
+    def arguments(self, free_values):
         """What the compiled programs take, in the precision of the problem."""
         every = np.concatenate([np.asarray(free_values, dtype=float), self.known_values])
         repeated = np.concatenate([np.full(len(members), every[i]) for i, members in enumerate(self.groups)])
@@ -137,7 +104,8 @@ class Problem:
     def _simulated(self, free_values) -> tuple[np.ndarray, np.ndarray]:
         """Outputs with padding, and the status code."""
         with computing_in(self.precision):
-            found = _predict(self.plan, self.wanted, self.method, self.locations, *self._arguments(free_values))
+            arguments = self.arguments(free_values)
+            found = _predict(self.plan, self.wanted, self.method, self.locations, *arguments, self.steady)
             return np.asarray(found[0]), np.asarray(found[1])
 
     def predict(self, free_values) -> np.ndarray:
@@ -152,8 +120,8 @@ class Problem:
         """Simulated channels and their slopes by every free and known parameter, in SI (not coordinates)."""
         with computing_in(self.precision):
             static = (self.plan, self.wanted, self.method, self.locations, self.groups)
-            numbers, *data = self._arguments(free_values)
-            found = _sensitivities(*static, numbers, cast(self.sizes, self.precision), *data)
+            numbers, *data = self.arguments(free_values)
+            found = _sensitivities(*static, numbers, cast(self.sizes, self.precision), *data, self.steady)
             outputs, slopes, status = (np.asarray(x) for x in found)
         return self._trimmed(outputs, status), self._trimmed(slopes, status)
 
@@ -165,19 +133,27 @@ class Problem:
         array = np.asarray(array[: self.recording.times.size], dtype=np.float64)
         return array if status in (STATUS["ok"], STATUS["tension"]) else np.full_like(array, np.nan)
 
-    def with_numbers(self, free_values) -> tuple[Circuit, dict, dict]:
-        """The circuit, the initial values and the inputs with these numbers."""
+    def with_numbers(self, free_values) -> tuple[Circuit, dict | str, dict]:
+        """The circuit, the initial values (or "steady") and the inputs with these numbers."""
         in_circuit, in_inputs, initial = {}, {}, dict(self.initial)
+        moved = {name: [1.0, 0.0] for name in self.inputs}
         for parameter, value in zip(self.free, free_values, strict=True):
-            for path in parameter.paths:
+            for path, ratio in zip(parameter.paths, parameter.path_ratios, strict=True):
                 owner, _, rest = path.partition(".")
+                number = float(value) * ratio
                 if owner == "initial":
-                    initial[rest] = float(value)
+                    initial[rest] = number
+                elif owner in self.inputs and rest in INPUT_NUMBERS:
+                    moved[owner][INPUT_NUMBERS.index(rest)] = number
                 elif owner in self.inputs:
-                    in_inputs[path] = np.asarray(value, dtype=float)
+                    in_inputs[path] = np.asarray(number, dtype=float)
                 else:
-                    in_circuit[path] = float(value)
-        return self.circuit.replace(in_circuit), initial, replace_leaves(self.inputs, in_inputs)
+                    in_circuit[path] = number
+        for name, (gain, offset) in moved.items():
+            if (gain, offset) != (1.0, 0.0):
+                in_inputs[f"{name}.values"] = gain * self.inputs[name].values + offset
+        circuit = self.circuit.replace(in_circuit)
+        return circuit, "steady" if self.steady else initial, replace_leaves(self.inputs, in_inputs)
 
 
 def _split_channels(circuit: Circuit, plan: Plan, recording: Recording) -> tuple[list[str], dict[str, str]]:
@@ -227,72 +203,80 @@ def _bound(circuit: Circuit, recording: Recording, interpolation: str) -> tuple[
 
 
 def with_inputs(problem: Problem, recording: Recording, interpolation: str) -> Values:
-    """The packed values of a problem with the inputs of another recording of the same length."""
+    """The packed values of a problem with the inputs of another recording of the same length.
+
+    Raises: ValueError for a recording with conditions or start values of its own, which these values would not have.
+    """
+    if recording.conditions or recording.initial is not None:
+        raise ValueError(
+            f"{recording.name}: conditions and start values of a recording are for `fit`; give the numbers that differ "
+            "between recordings of a batch as `local`"
+        )
     padded = _bound(problem.circuit, recording, interpolation)[1]
     names = zip(problem.plan.signal_names, problem.values.signals, strict=True)
     signals = tuple(padded.get(name, signal) for name, signal in names)
     return dataclasses.replace(problem.values, signals=signals)
 
 
-def check_parameters(circuit: Circuit, free, known, locations) -> tuple[tuple[Free, ...], tuple[Known, ...]]:
-    """Free and known parameters with full paths; raises for unknown, repeated or out-of-range ones."""
-    full_free, full_known, seen = [], [], set()
-    for parameter in free:
-        paths = tuple(resolve(path, locations) for path in parameter.paths)
-        full_free.append(dataclasses.replace(parameter, path=paths, name=parameter.label))
-    for number in known:
-        full_known.append(dataclasses.replace(number, path=resolve(number.path, locations)))
-    for path in [p for f in full_free for p in f.paths] + [k.path for k in full_known]:
-        if path in seen:
-            raise ValueError(f"{path} is given twice among the free and known parameters")
-        seen.add(path)
-    for parameter in full_free:
-        for path in parameter.paths:
-            metadata = number_metadata(circuit, path)
-            if metadata and not (metadata["low"] <= parameter.bounds[0] and parameter.bounds[1] <= metadata["high"]):
-                low, high, slip = metadata["low"], metadata["high"], metadata.get("slip")
-                raise ValueError(
-                    f"{path}: bounds must lie in {low:g}..{high:g} {metadata['unit']}, got "
-                    f"{parameter.bounds[0]:g}..{parameter.bounds[1]:g}{': ' + slip if slip else ''}"
-                )
-    if not full_free:
-        raise ValueError("a fit needs at least one free parameter, such as Free('fluid.bulk_modulus', (0.6e9, 2.5e9))")
-    return tuple(full_free), tuple(full_known)
+def conditioned(circuit: Circuit, recording: Recording, initial: dict | str | None) -> tuple[Circuit, dict | str]:
+    """The circuit and the start values under the conditions of a recording, its own start values first."""
+    start = recording.initial if recording.initial is not None else (initial or {})
+    if isinstance(start, str) and start != "steady":
+        raise ValueError(f'{recording.name}: initial must be a table of start values or "steady", got {start!r}')
+    in_circuit = {path: v for path, v in recording.conditions.items() if not path.startswith("initial.")}
+    told = {path.removeprefix("initial."): v for path, v in recording.conditions.items() if path not in in_circuit}
+    if told and isinstance(start, str):
+        raise ValueError(f'{recording.name}: it cannot start "steady" and at {", ".join(told)} of its conditions')
+    try:
+        circuit = circuit.replace(in_circuit)
+    except (KeyError, ValueError) as error:
+        raise type(error)(f"{recording.name}, conditions: {error.args[0]}") from error
+    return circuit, start if isinstance(start, str) else start | told
 
 
-def number_metadata(circuit: Circuit, path: str) -> dict:
-    """Unit and range of a number or an initial value; empty where none is declared."""
-    owner = path.partition(".")[0]
-    if owner == "fluid" or owner in circuit.components:
-        return field_metadata(circuit, path)
-    if owner == "initial" and path.endswith(".pressure"):
-        return {"unit": "Pa", "low": 0.0, "high": 1e9, "slip": "pressures are absolute and in Pa"}
-    return {}
+def _places(plan: Plan, values: Values, inputs, parameters) -> tuple[tuple[Place, ...], tuple[tuple[int, ...], ...]]:
+    """Where parameters act, and which of the places each drives."""
+    known, places, groups = parameter_locations(plan, values, inputs), [], []
+    for parameter in parameters:
+        paths = parameter.paths if isinstance(parameter, Free) else (parameter.path,)
+        ratios = parameter.path_ratios if isinstance(parameter, Free) else (1.0,)
+        groups.append(tuple(range(len(places), len(places) + len(paths))))
+        places += [known[path]._replace(ratio=ratio) for path, ratio in zip(paths, ratios, strict=True)]
+    return tuple(places), tuple(groups)
+
+
+def parameter_locations(plan: Plan, values: Values, inputs) -> dict[str, Place]:
+    """Path of every number that a fit can free -> where it acts; recorded inputs have gain and offset besides."""
+    found = {path: Place(*location) for path, location in number_locations(plan, values).items()}
+    for name in inputs:
+        samples = found[f"{name}.values"].position
+        new = {f"{name}.gain": "scale", f"{name}.offset": "shift"}
+        found |= {path: Place(samples, None, 1.0, mode) for path, mode in new.items() if path not in found}
+    return found
 
 
 def make_problem(
     circuit, recording, free, known, initial, method, tolerance, precision, interpolation="linear"
 ) -> Problem:
     """Check a fit's arguments and compile them into a problem. Raises as `fit` documents."""
+    circuit, start = conditioned(circuit, recording, initial)
+    steady, told = start == "steady", start if isinstance(start, dict) else {}
     with computing_in(precision):
         signals, padded = _bound(circuit, recording, interpolation)
-        circuit = _settled(circuit, recording, signals, initial or {}, free)
-        plan, values = compile_circuit(circuit, initial, padded)
+        circuit = _enough_segments(circuit, recording, signals, told, free)
+        plan, values = compile_circuit(circuit, told, padded)
         fitted, units = _split_channels(circuit, plan, recording)
-        known_locations = number_locations(plan, values)
-    free, known = check_parameters(circuit, free, known, known_locations)
-    paths, groups = [], []
-    for parameter in [*free, *known]:
-        members = parameter.paths if isinstance(parameter, Free) else (parameter.path,)
-        groups.append(tuple(range(len(paths), len(paths) + len(members))))
-        paths += members
-    known_values = np.asarray([float(_number(values, known_locations, k.path)) for k in known])
+        known_places = parameter_locations(plan, values, signals)
+    free, known = check_parameters(circuit, free, known, known_places)
+    _check_recorded(recording, free, signals, steady)
+    locations, groups = _places(plan, values, signals, [*free, *known])
+    known_values = np.asarray([_number(values, known_places, k.path) for k in known])
     return Problem(
         circuit=circuit,
         recording=recording,
         free=free,
         known=known,
-        initial=dict(initial or {}),
+        initial=told,
         inputs=signals,
         plan=plan,
         values=values,
@@ -301,26 +285,50 @@ def make_problem(
         method=method,
         precision=precision,
         tolerance=tolerance,
-        locations=tuple(known_locations[path] for path in paths),
-        groups=tuple(groups),
+        locations=locations,
+        groups=groups,
         known_values=known_values,
+        steady=steady,
     )
 
 
-def _settled(circuit: Circuit, recording: Recording, signals: dict, initial: dict, free) -> Circuit:
+def _check_recorded(recording: Recording, free: tuple[Free, ...], signals: dict[str, Sampled], steady: bool) -> None:
+    """Raise for parameters that the inputs or the start of a recording rule out."""
+    for path in (path for parameter in free for path in parameter.paths):
+        owner, _, rest = path.partition(".")
+        if steady and owner == "initial":
+            raise ValueError(
+                f'{path} cannot be free: {recording.name} starts "steady", so that it follows from the rest'
+            )
+        if rest == "delay" and owner in signals and signals[owner].method == "hold":
+            raise ValueError(
+                f'{path} cannot be estimated with interpolation="hold", whose jumps have no derivative: use "cubic"'
+            )
+
+
+def settled(circuit: Circuit, recording: Recording, initial: dict, free, interpolation: str) -> Circuit:
+    """The circuit with the numbers of segments that a recording needs within the bounds of the free parameters."""
+    signals = _bound(circuit, recording, interpolation)[0]
+    return _enough_segments(circuit, recording, signals, {k: v for k, v in initial.items() if v != "measured"}, free)
+
+
+def _enough_segments(circuit: Circuit, recording: Recording, signals: dict, initial: dict, free) -> Circuit:
     """The circuit with the numbers of segments that the slowest waves within the bounds need."""
     variants = []
-    for path, bound in [(p, b) for f in free for p in f.paths for b in f.bounds]:
+    driven = [(p, r, b) for f in free for p, r in zip(f.paths, f.path_ratios, strict=True) for b in f.bounds]
+    for path, ratio, bound in driven:
         owner, _, rest = path.partition(".")
         if owner == "initial":
-            variants.append((circuit, initial | {rest: bound}))
+            variants.append((circuit, initial | {rest: bound * ratio}))
         elif owner == "fluid" or owner in circuit.components:
-            variants.append((circuit.replace({path: bound}, check=False), initial))
+            variants.append((circuit.replace({path: bound * ratio}, check=False), initial))
     return choose_segments(circuit, recording.times, signals, initial=initial, variants=variants)
 
 
-def _number(values: Values, locations, path: str):
-    """The present value of a number by its path."""
-    position, member = locations[path]
-    leaf = np.asarray(jax.tree.leaves(values)[position])
-    return leaf if member is None else leaf[member].flat[0]
+def _number(values: Values, places: dict[str, Place], path: str) -> float:
+    """The present value of a number by its path; 1 for the gain of an input, 0 for its offset."""
+    place = places[path]
+    if place.mode != "set":
+        return float(place.mode == "scale")
+    leaf = np.asarray(jax.tree.leaves(values)[place.position])
+    return float(leaf if place.member is None else np.ravel(leaf[place.member])[0])

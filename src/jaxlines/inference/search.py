@@ -1,12 +1,13 @@
-"""Bounded nonlinear least squares around a problem: starts, noise levels, an honest word on convergence."""
+"""Bounded nonlinear least squares around a problem, with an honest word on how it ended."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from jaxlines.inference.checkpoint import Memory
+from jaxlines.inference.joint import JointProblem
 from jaxlines.inference.parameters import Free
-from jaxlines.inference.problem import Problem
 from jaxlines.inference.uncertainty import UNINFORMED
 
 OFFSET_GOAL = 1e-4
@@ -17,15 +18,18 @@ OFFSET_LIMIT = 0.01
 (Bates and Watts, "A relative offset orthogonality convergence criterion for nonlinear least squares",
 Technometrics 23, 1981; they suggest 0.001 to 0.01)."""
 
+NEAR_FAILURE = 3.0
+"""An end point is near failure when a simulation failed within this many standard errors of it."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Found:
-    """Where a search ended: values in SI, residuals and Jacobian there, and how it ended."""
+    """Where a search ended: values in SI, simulated channels and slopes there a recording, and how it ended."""
 
     values: np.ndarray
     coordinates: np.ndarray
-    simulated: np.ndarray
-    slopes: np.ndarray
+    simulated: tuple[np.ndarray, ...]
+    slopes: tuple[np.ndarray, ...]
     cost: float
     status: str
     message: str
@@ -36,32 +40,51 @@ class Failed(RuntimeError):
     """No start of a search could be simulated."""
 
 
-class _Evaluator:
-    """Residuals and Jacobian in search coordinates, weighted by the noise, remembering the last point."""
+class Evaluator:
+    """What SciPy's search sees of a problem: p + 1 rows in place of all, with the same cost, gradient and J'J.
 
-    def __init__(self, problem: Problem, sigma: np.ndarray, report: Callable[[int, float], None]):
-        self.problem, self.sigma, self.report = problem, sigma, report
+    With h = r/|r| an orthogonal transformation takes the rows r to (|r|, 0, ..., 0) and the Jacobian J to (h'J, R),
+    R the triangular factor of what is left, J - h h'J. A search that uses no more than r and J of one point cannot
+    tell the difference, so that a memory of these few numbers is enough to repeat it exactly.
+    """
+
+    def __init__(self, problem: JointProblem, stage: str, memory: Memory, report: Callable[[int, float], None]):
+        self.problem, self.stage, self.memory, self.report = problem, stage, memory, report
         self.count, self.last, self.settled = 0, None, False
-        self.used, self.measured = problem.used, problem.measured
-        self.widths = np.array([high - low for low, high in (f.coordinate_bounds() for f in problem.free)])
+        self.failed: list[np.ndarray] = []
+        self.widths = problem.upper - problem.lower
 
-    def values(self, coordinates) -> np.ndarray:
-        return np.array([f.to_value(c) for f, c in zip(self.problem.free, coordinates, strict=True)])
-
-    def residuals(self, coordinates) -> np.ndarray:
-        simulated = self.problem.predict(self.values(coordinates))
+    def residuals(self, x) -> np.ndarray:
+        """(|r|, 0, ..., 0), shape (parameters + 1,); NaN where a simulation fails."""
+        known = self.memory.recall(self.stage, x)
+        if "norm" not in known:
+            norm = float(np.linalg.norm(self.problem.residuals(x)))
+            self.memory.keep(self.stage, x, norm=norm if np.isfinite(norm) else None)
+        norm = known["norm"]
         self.count += 1
-        residuals = ((simulated - self.measured) / self.sigma)[self.used]
-        self.report(self.count, 0.5 * float(residuals @ residuals) if np.all(np.isfinite(residuals)) else np.inf)
-        return residuals
+        self.report(self.count, np.inf if norm is None else 0.5 * norm**2)
+        if norm is None:
+            self.failed.append(np.array(x))
+        return np.concatenate([[np.nan if norm is None else norm], np.zeros(self.widths.size)])
 
-    def jacobian(self, coordinates) -> np.ndarray:
-        simulated, slopes = self.problem.sensitivities(self.values(coordinates))
-        self.last = (np.array(coordinates), simulated, slopes)
-        jacobian = weighted_jacobian(self.problem, coordinates, slopes, self.sigma)
-        residuals = ((simulated - self.measured) / self.sigma)[self.used]
-        self.settled = relative_offset(jacobian, residuals, self.widths) < OFFSET_GOAL
-        return jacobian
+    def jacobian(self, x) -> np.ndarray:
+        """Slopes of these rows by coordinates, shape (parameters + 1, parameters)."""
+        known = self.memory.recall(self.stage, x)
+        if "jacobian" not in known:
+            rows, jacobian = self._full(x)
+            if not np.all(np.isfinite(jacobian)):
+                raise Failed(f"a derivative is not finite: {self.problem.why_it_fails(self.problem.to_values(x))}")
+            settled = relative_offset(jacobian, rows, self.widths) < OFFSET_GOAL
+            small = _condensed(rows, jacobian)
+            self.memory.keep(self.stage, x, jacobian=small.tolist(), settled=bool(settled), write=True)
+        self.settled = known["settled"]
+        return np.array(known["jacobian"])
+
+    def _full(self, x) -> tuple[np.ndarray, np.ndarray]:
+        """All rows and their slopes at coordinates."""
+        simulated, slopes = self.problem.sensitivities(self.problem.to_values(x))
+        self.last = (np.array(x), simulated, slopes)
+        return self.problem.rows(self.problem.to_values(x), simulated), self.problem.row_slopes(x, simulated, slopes)
 
     def stop_when_settled(self, intermediate_result) -> None:
         """Callback of SciPy's search: nothing left to gain."""
@@ -69,19 +92,23 @@ class _Evaluator:
         if self.settled:
             raise StopIteration
 
-    def at(self, coordinates) -> tuple[np.ndarray, np.ndarray]:
+    def at(self, x) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Simulated channels and slopes at a point, computed again only if it is not the last."""
-        if self.last is None or not np.array_equal(self.last[0], coordinates):
-            self.jacobian(coordinates)
+        if self.last is None or not np.array_equal(self.last[0], x):
+            self._full(x)
         assert self.last is not None
         return self.last[1], self.last[2]
 
 
-def weighted_jacobian(problem: Problem, coordinates, slopes, sigma) -> np.ndarray:
-    """Jacobian of the weighted residuals by the search coordinates, shape (used samples, free)."""
-    values = [f.to_value(c) for f, c in zip(problem.free, coordinates, strict=True)]
-    steps = np.array([f.slope(v) for f, v in zip(problem.free, values, strict=True)])
-    return (slopes[..., : len(steps)] * steps / sigma[:, None])[problem.used]
+def _condensed(rows, jacobian) -> np.ndarray:
+    """(h'J, R) of `Evaluator`, shape (parameters + 1, parameters)."""
+    count, norm = jacobian.shape[1], float(np.linalg.norm(rows))
+    direction = rows / norm if norm > 0.0 else np.zeros_like(rows)
+    along = direction @ jacobian
+    triangle = np.asarray(np.linalg.qr(jacobian - np.outer(direction, along), mode="r"))
+    small = np.zeros((count + 1, count))
+    small[0], small[1 : 1 + triangle.shape[0]] = along, triangle
+    return small
 
 
 def relative_offset(jacobian, residuals, widths) -> float:
@@ -97,8 +124,7 @@ def relative_offset(jacobian, residuals, widths) -> float:
     left, singular, _ = np.linalg.svd(jacobian * widths, full_matrices=False)
     left, singular = left[:, singular > 0.0], singular[singular > 0.0]
     inside = left.T @ residuals
-    freedom = max(residuals.size - left.shape[1], 1)
-    level = max(float(np.linalg.norm(residuals - left @ inside)) / np.sqrt(freedom), 1e-300)
+    level = _level(residuals, left, inside)
     steps, known = np.abs(inside) / level, singular > level / UNINFORMED
     firm = float(np.sqrt(np.mean(steps[known] ** 2))) if known.any() else 0.0
     reach = np.minimum(steps, singular / level)  # a walk ends at its best point or at the bounds
@@ -106,7 +132,13 @@ def relative_offset(jacobian, residuals, widths) -> float:
     return max(firm, float(np.max(steps[gainful], initial=0.0)))
 
 
-def judge(free: tuple[Free, ...], coordinates, residuals, jacobian, optimiser_message: str) -> tuple[str, str]:
+def _level(residuals, left, inside) -> float:
+    """Standard deviation of the rows outside the tangent space."""
+    freedom = max(residuals.size - left.shape[1], 1)
+    return max(float(np.linalg.norm(residuals - left @ inside)) / np.sqrt(freedom), 1e-300)
+
+
+def judge(free: Sequence[Free], coordinates, residuals, jacobian, optimiser_message: str) -> tuple[str, str]:
     """Status of an end point from its own gradient and bounds, not from the optimiser's word."""
     bounds = np.array([f.coordinate_bounds() for f in free])
     near = 1e-6 * (bounds[:, 1] - bounds[:, 0])
@@ -126,25 +158,46 @@ def judge(free: tuple[Free, ...], coordinates, residuals, jacobian, optimiser_me
     return "converged", f"the remaining step is {offset:.1e} of a standard error"
 
 
-def search(problem: Problem, start: np.ndarray, sigma: np.ndarray, report, *, max_evaluations: int = 100) -> Found:
-    """One trust-region search from a start (search coordinates) with noise levels sigma, shape (channels,).
+def nearest_failure(problem: JointProblem, x, residuals, jacobian, failed) -> tuple[float, str]:
+    """Distance to the nearest simulation that failed, in standard errors, and what failed; infinite without any.
 
-    Raises: Failed when the start cannot be simulated.
+    The distance is |J dx| over the level of the residuals: how far the simulated channels are apart, to first order.
+    """
+    if not failed:
+        return np.inf, ""
+    level = max(float(np.linalg.norm(residuals)) / np.sqrt(max(residuals.size - x.size, 1)), 1e-300)
+    distances = [float(np.linalg.norm(jacobian @ (point - x))) / level for point in failed]
+    nearest = failed[int(np.argmin(distances))]
+    return min(distances), problem.why_it_fails(problem.to_values(nearest))
+
+
+def search(
+    problem: JointProblem,
+    start: np.ndarray,
+    report: Callable[[int, float], None],
+    *,
+    stage: str = "search",
+    memory: Memory | None = None,
+    max_evaluations: int = 100,
+) -> Found:
+    """One trust-region search from a start (search coordinates), at the noise levels of the problem.
+
+    stage, memory: under which name evaluations are remembered, and where. Raises: Failed when the start cannot be
+    simulated.
     """
     from scipy.optimize import least_squares
 
-    evaluator = _Evaluator(problem, sigma, report)
-    bounds = np.array([f.coordinate_bounds() for f in problem.free]).T
-    margin = 1e-9 * (bounds[1] - bounds[0])
-    start = np.clip(start, bounds[0] + margin, bounds[1] - margin)
+    evaluator = Evaluator(problem, stage, memory or Memory(), report)
+    margin = 1e-9 * (problem.upper - problem.lower)
+    start = np.clip(start, problem.lower + margin, problem.upper - margin)
     if not np.all(np.isfinite(evaluator.residuals(start))):
-        reason = problem.why_it_fails(evaluator.values(start))
+        reason = problem.why_it_fails(problem.to_values(start))
         raise Failed(f"the simulation fails at the start of the search: {reason}")
     found = least_squares(
         evaluator.residuals,
         start,
         jac=evaluator.jacobian,  # pyright: ignore[reportArgumentType]
-        bounds=bounds,
+        bounds=(problem.lower, problem.upper),
         x_scale="jac",
         ftol=1e-12,
         xtol=1e-9,
@@ -152,35 +205,20 @@ def search(problem: Problem, start: np.ndarray, sigma: np.ndarray, report, *, ma
         max_nfev=max_evaluations,
         callback=evaluator.stop_when_settled,
     )
-    simulated, slopes = evaluator.at(found.x)
-    residuals = ((simulated - evaluator.measured) / sigma)[evaluator.used]
-    jacobian = weighted_jacobian(problem, found.x, slopes, sigma)
+    return _ended(problem, evaluator, found.x, found.message)
+
+
+def _ended(problem: JointProblem, evaluator: Evaluator, x: np.ndarray, message: str) -> Found:
+    """The end point, looked at again."""
+    simulated, slopes = evaluator.at(x)
+    values = problem.to_values(x)
+    residuals, jacobian = problem.rows(values, simulated), problem.row_slopes(x, simulated, slopes)
     if not (np.all(np.isfinite(residuals)) and np.all(np.isfinite(jacobian))):
-        reason = problem.why_it_fails(evaluator.values(found.x))
-        raise Failed(f"the simulation fails where the search ended: {reason}")
-    status, message = judge(problem.free, found.x, residuals, jacobian, found.message)
-    values = evaluator.values(found.x)
+        raise Failed(f"the simulation fails where the search ended: {problem.why_it_fails(values)}")
+    status, message = judge(problem.free, x, residuals, jacobian, message)
+    distance, reason = nearest_failure(problem, x, residuals, jacobian, evaluator.failed)
+    if distance < NEAR_FAILURE:
+        status = "near_failure"
+        message = f"simulations fail {distance:.2g} standard errors away ({reason}); without that: {message}"
     cost = 0.5 * float(residuals @ residuals)
-    return Found(values, found.x, simulated, slopes, cost, status, message, evaluator.count)
-
-
-def start_points(problem: Problem, count: int, seed: int) -> np.ndarray:
-    """The given start, then points of a scrambled Sobol sequence over the coordinate bounds."""
-    first = np.array([f.start_coordinate() for f in problem.free])
-    if count <= 1:
-        return first[None]
-    from scipy.stats import qmc
-
-    bounds = np.array([f.coordinate_bounds() for f in problem.free])
-    sobol = qmc.Sobol(len(problem.free), rng=seed)
-    unit = sobol.random(2 ** int(np.ceil(np.log2(count))))[: count - 1]
-    return np.concatenate([first[None], bounds[:, 0] + unit * (bounds[:, 1] - bounds[:, 0])])
-
-
-def estimate_sigma(problem: Problem, simulated) -> np.ndarray:
-    """Noise level of each channel from its residuals, with the parameters shared out as degrees of freedom."""
-    used, residuals = problem.used, np.where(problem.used, simulated - problem.measured, 0.0)
-    counts = used.sum(axis=0)
-    freedom = np.maximum(counts * (1.0 - len(problem.free) / used.sum()), 1.0)
-    floor = 1e-12 * np.maximum(np.nanmax(np.abs(problem.measured), axis=0), 1e-300)
-    return np.maximum(np.sqrt((residuals**2).sum(axis=0) / freedom), floor)
+    return Found(values, x, tuple(simulated), tuple(slopes), cost, status, message, evaluator.count)
