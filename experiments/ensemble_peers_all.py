@@ -104,7 +104,7 @@ def line_peers(columns, reference: Reference, chunk: int = 16, repeats: int = 1,
         with jax.enable_x64(True):
             lane = vmapped.circuit_lane(line.program(), line.OUTPUT, times)
         name = f"vmap(diffrax {'Kvaerno5' if implicit else 'Tsit5'})"
-        options = {"implicit": implicit, "chunk": chunk, "repeats": repeats}
+        options = {"implicit": implicit, "threads": not implicit, "chunk": chunk, "repeats": repeats}
         runs = _by_tolerance(lambda x: vmapped.vmap_diffrax(numbers, lane, x, **options), tolerances)
         return _rows(name, "float64", reference, runs)
 

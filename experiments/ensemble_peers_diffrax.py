@@ -115,6 +115,7 @@ def vmap_diffrax(
     first_step: float = 1e-3,
     at_knots: bool | None = None,
     order=None,
+    threads: bool = True,
     repeats: int = 2,
     max_steps: int = 100_000,
 ) -> Run:
@@ -123,7 +124,9 @@ def vmap_diffrax(
     Args: numbers (lanes, 9), in the order that the lane takes them; lane; tolerance, relative, and absolute of scaled
     states; implicit: Kvaerno5 with `jaxlines.implicit`'s Newton root finder, else Tsit5; chunk: lanes side by side;
     first_step [s]; at_knots: whether steps end on the knots of the input (default: where implicit); order: what lanes
-    are sorted by (default: the last column); repeats, of which the fastest counts.
+    are sorted by (default: the last column); threads: chunks side by side on all cores; repeats, of which the fastest
+    counts. Batches of larger matrices are factorised on all cores by JAX itself, and two such programs at once can wait
+    for each other for ever (jaxlib 0.10.2, 83 by 83): run those without threads.
     """
     numbers = np.asarray(numbers, dtype=float)
     solver = jl.implicit() if implicit else diffrax.Tsit5()
@@ -143,8 +146,11 @@ def vmap_diffrax(
         with jax.enable_x64(True):  # a setting of the thread
             return np.asarray(program(piece))
 
+    def all_lanes():
+        found[:] = in_threads(work, pieces) if threads else [work(piece) for piece in pieces]
+
     found: list[np.ndarray] = []
-    seconds = best_seconds(lambda: found.__setitem__(slice(None), in_threads(work, pieces)), repeats)
+    seconds = best_seconds(all_lanes, repeats)
     pressure = np.empty((len(numbers), len(lane.times)))
     pressure[sorted_by] = np.concatenate(found)[: len(numbers)]
     return Run(pressure, seconds, compiling)
