@@ -47,7 +47,7 @@ class Analytic(AbstractModel):
     def limits(self, path: str) -> tuple[float, float, str]:
         return self.low, np.inf, "1"
 
-    def prepare(self, pilot: dict[str, np.ndarray]) -> "Program":
+    def prepare(self, pilot: dict[str, np.ndarray], fixed: dict | None = None) -> "Program":
         return Program(self)
 
 

@@ -48,7 +48,7 @@ def indices(model, uncertain, sampler, count, **options):
 
 def test_ishigami_indices_are_the_closed_forms():
     """Ishigami and Homma, 1990."""
-    found = indices(ISHIGAMI, ANGLES, SobolIndices(second_order=True), 8 * 4096)
+    found = indices(ISHIGAMI, ANGLES, SobolIndices(second_order=True), 8 * 2048)
     assert found.measures["first"] == pytest.approx(ISHIGAMI_FIRST, abs=0.03)
     assert found.measures["total"] == pytest.approx(ISHIGAMI_TOTAL, abs=0.03)
     assert found.measures["second"][0, 2] == pytest.approx(ISHIGAMI_PAIR, abs=0.04)
@@ -162,7 +162,7 @@ def test_bands_are_quantiles_at_every_time():
     assert data.attrs["count"] == 2048
 
 
-@pytest.mark.parametrize(("chunk", "workers"), [(32, 1), (256, 2), pytest.param(77, 4, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("chunk", "workers"), [(32, 1), (77, 1), pytest.param(256, 4, marks=pytest.mark.slow)])
 def test_results_do_not_depend_on_chunks_and_workers(tmp_path, chunk, workers):
     plan = SweepPlan(WAVE, ANGLES, MonteCarlo(4))
     reference = run_sweep(plan, 1000, store=tmp_path / "a", chunk=500)

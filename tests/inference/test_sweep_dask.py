@@ -24,6 +24,7 @@ def table_of(result) -> bytes:
     return (result.folder / "table.parquet").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_scheduler_by_its_address_gives_the_same_table(tmp_path):
     options = {"processes": False, "protocol": "tcp", "dashboard_address": ":0"}
     with distributed.LocalCluster(n_workers=1, threads_per_worker=2, **options) as cluster:

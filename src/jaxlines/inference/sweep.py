@@ -19,7 +19,7 @@ from jaxlines.inference.sweep_plan import SweepPlan
 from jaxlines.inference.sweep_result import SweepResult
 from jaxlines.inference.sweep_run import Progress, prepare_store, run_chunks
 from jaxlines.inference.sweep_store import ChangedPlan, SweepStore, stores_in, write_new
-from jaxlines.inference.sweep_workers import Task, adopt, pilot_samples, prepare, run_lanes
+from jaxlines.inference.sweep_workers import run_lanes
 
 CHUNK = 2048
 
@@ -39,8 +39,9 @@ def run_sweep(
     quantiles=QUANTILES,
     linear: bool = True,
     progress: Callable[[Progress], Any] | None = None,
+    title: str = "",
 ) -> SweepResult:
-    """Run a plan and collect what it says. See `sweep` for the arguments.
+    """Run a plan and collect what it says. See `sweep` for the arguments; title: of the report.
 
     Raises: ValueError, KeyError for a wrong call, before any work; FileExistsError when the store has lanes and resume
         is False; ChangedPlan, RuntimeError when resuming would mix different numbers; SweepStopped when lanes could not
@@ -52,6 +53,10 @@ def run_sweep(
     count = total if count is None else count
     assert count is not None
     plan.check_count(count)
+    for name in thresholds or {}:
+        if name not in plan.model.reductions:
+            known = ", ".join(plan.model.reductions) or "none"
+            raise KeyError(f"thresholds: there is no reduction {name!r}; there are {known}")
     if chunk is not None and chunk < 1:
         raise ValueError(f"chunk must be 1 or more lanes, got {chunk}")
     _check_shard(shard)
@@ -59,10 +64,13 @@ def run_sweep(
     chunk = chunk or min(CHUNK, max(64, 1 << (count - 1).bit_length()))
     if store is not None:
         opened = _opened(Path(store), plan, resume, allow_changes, chunk)
-        return _run(opened, plan, count, linear, options, thresholds, quantiles)
+        opened.ask(thresholds or {}, quantiles, title)
+        return _run(opened, plan, count, linear, options)
     folder = tempfile.mkdtemp(prefix="jaxlines-sweep-")
     try:
-        result = _run(SweepStore.create(folder, plan, chunk), plan, count, linear, options, thresholds, quantiles)
+        opened = SweepStore.create(folder, plan, chunk)
+        opened.ask(thresholds or {}, quantiles, title)
+        result = _run(opened, plan, count, linear, options)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
@@ -70,22 +78,20 @@ def run_sweep(
     return result
 
 
-def _run(store: SweepStore, plan: SweepPlan, count: int, linear: bool, options, thresholds, quantiles) -> SweepResult:
+def _run(store: SweepStore, plan: SweepPlan, count: int, linear: bool, options) -> SweepResult:
     """Compute what is missing in a store, and collect all of it."""
     notes = store.check()
     if store.pending(count, options["shard"]):
-        program = plan.model.prepare(plan.varied(pilot_samples(plan)))
-        prepared, more = prepare_store(store, plan, program, lambda: prepare(plan, program))
+        program, prepared, more = prepare_store(store, plan)
         notes += more
         if linear and not isinstance(plan.sampler, Grid | Rows):
             _store_linear(store, plan, program)
-        adopt(plan, Task.of(plan, prepared, store.chunk), program)
-        run_chunks(store, plan, prepared, count, **options)
+        run_chunks(store, plan, program, prepared, count, **options)
     missing = store.pending(count)
     if missing and options["shard"] != (1, 1):
         found = nothing(f"{len(missing)} chunks are left to the other shards: collect when they are done")
     else:
-        found = collect(store, thresholds, quantiles)
+        found = collect(store)
     return SweepResult(store.folder, store.content, dataclasses.replace(found, notes=(*notes, *found.notes)))
 
 

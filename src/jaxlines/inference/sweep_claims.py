@@ -89,6 +89,10 @@ class Claims:
             if self._is_dead(path):
                 path.unlink(missing_ok=True)
 
+    def living(self) -> int:
+        """How many chunks somebody alive has."""
+        return sum(not self._is_dead(path) for path in self.folder.glob("*.*"))
+
     def close(self) -> None:
         """Give everything back."""
         self._stop.set()

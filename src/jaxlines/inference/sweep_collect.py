@@ -18,7 +18,7 @@ from jaxlines.inference.sensitivity_indices import (
     tornado,
 )
 from jaxlines.inference.sketch import COARSE, Moments, QuantileSketch
-from jaxlines.inference.statistics import QUANTILES, Accumulator, Band, Summary, band
+from jaxlines.inference.statistics import Accumulator, Band, Summary, band
 from jaxlines.inference.sweep_store import PARQUET, ROW_GROUP, SweepStore, write_over
 from jaxlines.inference.sweep_workers import derivative_column
 
@@ -77,26 +77,19 @@ def _joined(pieces: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
     return {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
 
 
-def collect(
-    store: SweepStore,
-    thresholds: dict[str, list[float]] | None = None,
-    probabilities=QUANTILES,
-    write: bool = True,
-) -> Collected:
+def collect(store: SweepStore, write: bool = True) -> Collected:
     """Statistics of the lanes that are there, without a gap, from the first on.
 
-    Args: thresholds: reduction -> values whose exceedance is asked for; probabilities of the quantiles; write:
-        table.parquet and bands.parquet, the same bytes however the sweep was cut and computed.
-    Raises: KeyError for a threshold of an unknown reduction; ValueError when there are no lanes.
+    Args: store, which knows the thresholds and quantiles that were asked for; write: table.parquet and bands.parquet,
+        the same bytes however the sweep was cut and computed.
+    Raises: ValueError when there are no lanes; OSError for a chunk that is damaged.
     """
-    content, thresholds = store.content, thresholds or {}
-    for name in thresholds:
-        if name not in content["reductions"]:
-            raise KeyError(f"thresholds: there is no reduction {name!r}; there are {', '.join(content['reductions'])}")
+    content, asked = store.content, store.asked()
+    thresholds, probabilities = asked["thresholds"], tuple(asked["quantiles"])
     prepared = store.prepared()
     if prepared is None or not store.done() or store.done()[0].start != 0:
         raise ValueError(f"{store.folder}: no lane has been computed yet")
-    gathered = _Gathered(content, prepared["scales"], thresholds, tuple(probabilities))
+    gathered = _Gathered(content, prepared["scales"], thresholds, probabilities)
     if write:
         write_over(store.folder / "table.parquet", lambda path: gathered.write(store, path))
     else:
@@ -127,7 +120,7 @@ class _Gathered:
         for code, number in zip(*np.unique(block["status"][~good], return_counts=True), strict=True):
             self.failed[int(code)] = self.failed.get(int(code), 0) + int(number)
         for name, accumulator in self.accumulators.items():
-            accumulator.add(block["index"], block[name], good)
+            accumulator.add(block["index"], block[name], good & np.isfinite(block[name]))
         wanted = {i for a in self.accumulators.values() for i, _ in (*a.largest, *a.smallest)}
         first = int(block["index"][0])
         for index in wanted - set(self.extremes):
@@ -169,9 +162,16 @@ class _Gathered:
                 f"{total:,} of {self.count:,} lanes failed ({100 * total / self.count:.3g} %): moments and "
                 "quantiles are of the others; the bounds hold whatever the failed lanes would have given"
             )
-        names, good = self.content["names"], rows["status"] == 0
-        samples = np.stack([rows[name] for name in names], axis=1)[good]
-        linear = {name: found.compared(samples, rows[name][good]) for name, found in linear.items()}
+        failed_lanes = sum(self.failed.values())
+        notes += [
+            f"{name}: {a.failed - failed_lanes:,} lanes that succeeded have no value of it: counted as failed"
+            for name, a in self.accumulators.items()
+            if a.failed > failed_lanes
+        ]
+        samples = np.stack([rows[name] for name in self.content["names"]], axis=1)
+        for name, found in linear.items():
+            good = (rows["status"] == 0) & np.isfinite(rows[name])
+            linear[name] = found.compared(samples[good], rows[name][good])
         failed = dict(sorted(self.failed.items()))
         return Collected(self.count, failed, summaries, bands, sensitivities, linear, rows, worst, kept, tuple(notes))
 
@@ -265,8 +265,8 @@ def _sensitivities(store: SweepStore, rows: dict, count: int) -> tuple[dict[str,
     needed = ["status", *content["reductions"]]
     if designed and count > len(rows["status"]):
         rows = _joined([columns for _, columns in store.tables(needed)])
-    good = rows["status"] == 0
     for name in content["reductions"]:
+        good = (rows["status"] == 0) & np.isfinite(rows[name])
         try:
             found[name] = _causes(sampler, name, names, dims, rows, good, content["plan"]["derivatives"])
         except (ValueError, ImportError) as error:

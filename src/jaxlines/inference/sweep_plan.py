@@ -45,9 +45,10 @@ class AbstractModel(abc.ABC):
         """The lowest and highest legal value of the number at a full path, and its SI unit."""
 
     @abc.abstractmethod
-    def prepare(self, pilot: dict[str, np.ndarray]) -> Any:
+    def prepare(self, pilot: dict[str, np.ndarray], fixed: dict | None = None) -> Any:
         """A program for lanes like the pilot's: `run(varied)` gives `outputs`, `reductions`, `status` and `error`, and
-        `description` is what its numbers depend on (engine, steps, precision) and what it ran on (versions)."""
+        `description` is what its numbers depend on (engine, steps, precision) and what it ran on (versions). With
+        `fixed`, the description of an earlier program, one that gives the same numbers."""
 
 
 def describe(value: Any) -> Any:
@@ -70,8 +71,12 @@ def describe(value: Any) -> Any:
         return {"type": type(value).__qualname__, **fields}
     if hasattr(value, "__array__"):
         return _array(np.asarray(value))
-    if isinstance(value, type) or inspect.isfunction(value):
+    if isinstance(value, type):
         return f"{value.__module__}.{value.__qualname__}"
+    if inspect.isfunction(value):
+        code = value.__code__
+        content = repr((code.co_code, [c for c in code.co_consts if not inspect.iscode(c)], code.co_names))
+        return {"function": value.__qualname__, "sha256": hashlib.sha256(content.encode()).hexdigest()}
     raise TypeError(f"a sweep cannot name {value!r} in its plan: use numbers, texts and objects of jaxlines")
 
 

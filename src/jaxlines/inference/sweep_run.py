@@ -14,7 +14,17 @@ import numpy as np
 
 from jaxlines.inference.sweep_plan import SweepPlan
 from jaxlines.inference.sweep_store import Piece, SweepStore
-from jaxlines.inference.sweep_workers import Engine, Result, Task, check_same, compute, make_engine
+from jaxlines.inference.sweep_workers import (
+    Engine,
+    Result,
+    Task,
+    check_same,
+    compute,
+    make_engine,
+    pilot_samples,
+    plain,
+    prepare,
+)
 
 MAX_FAILED_CHUNKS = 3
 POLL_SECONDS = 0.5
@@ -76,6 +86,7 @@ def _processor() -> str:
 def run_chunks(
     store: SweepStore,
     plan: SweepPlan,
+    program: Any,
     prepared: dict,
     count: int,
     *,
@@ -93,7 +104,8 @@ def run_chunks(
     pending = store.pending(count, shard)
     if not pending:
         return
-    task = Task.of(plan, prepared, store.chunk)
+    alone = engine == "local" and workers == 1
+    task = Task.local(plan, prepared, store.chunk, program) if alone else Task.remote(plan, prepared, store.chunk)
     store.log(_header(store, plan, prepared, count, engine, workers, shard))
     job = _Job(store, task, count, progress, engine, workers)
     try:
@@ -253,15 +265,19 @@ class _Job:
         self.store.claims.close()
 
 
-def prepare_store(store: SweepStore, plan: SweepPlan, program: Any, make: Callable[[], dict]) -> tuple[dict, list[str]]:
-    """What the first worker fixed, checked against this process's program, and notes on what differs harmlessly.
+def prepare_store(store: SweepStore, plan: SweepPlan) -> tuple[Any, dict, list[str]]:
+    """The program, what the first worker fixed (this one, if none did), and notes on what differs harmlessly since.
 
     Raises: RuntimeError when this process would compute other numbers than those that are there.
     """
-    known = store.prepared()
+    pilot, known = plan.varied(pilot_samples(plan)), store.prepared()
     if known is None:
-        known = store.prepared(lambda: {**make(), "environment": environment()})
+        program = plan.model.prepare(pilot)
+        known = store.prepared(lambda: {**prepare(plan, program), "environment": environment()})
         assert known is not None
+        if known["description"] == plain(program.description):
+            return program, known, []
+    program = plan.model.prepare(pilot, known["description"])
     check_same(known["description"], program.description)
     notes, mine = [], environment()
     if known["environment"]["processor"] != mine["processor"]:
@@ -270,4 +286,4 @@ def prepare_store(store: SweepStore, plan: SweepPlan, program: Any, make: Callab
     changed = [f"{p} {theirs.get(p)} -> {v}" for p, v in mine["versions"].items() if theirs.get(p) != v]
     if changed:
         notes.append(f"other versions than at the start ({', '.join(changed)}): equal within the tolerance")
-    return known, notes
+    return program, known, notes

@@ -2,6 +2,7 @@
 
 ROOT/<hash of the plan>/
     plan.json                      the plan, names, units, lanes of a chunk
+    asked.json                     quantiles and thresholds that the statistics are to have
     prepared.json                  engine, steps, precision and scales, fixed by the first worker
     manifest.jsonl                 who computed what, when, how fast (nothing else here has a time in it)
     chunks/<start>-<stop>.parquet  a row a lane: index, numbers, reductions, status, error
@@ -131,6 +132,15 @@ class SweepStore:
                 return None
             write_new(path, _json_text(make()))
         return json.loads(path.read_text(encoding="utf-8"))
+
+    def ask(self, thresholds: dict[str, list[float]], quantiles, title: str) -> None:
+        """Note what the statistics are to say; it may change at any time."""
+        content = {"thresholds": thresholds, "quantiles": list(quantiles), "title": title or self.content["hash"]}
+        write_over(self.folder / "asked.json", _json_text(content))
+
+    def asked(self) -> dict:
+        """What the statistics are to say: thresholds of reductions, quantiles, title of the report."""
+        return json.loads((self.folder / "asked.json").read_text(encoding="utf-8"))
 
     # What is there
 

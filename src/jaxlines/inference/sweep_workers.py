@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import json
 import pickle
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from typing import Any, NamedTuple
@@ -39,7 +40,7 @@ def prepare(plan: SweepPlan, program: Any) -> dict:
         )
     scales = {name: _scale(np.asarray(v)[good][:, None]) for name, v in found.reductions.items()}
     scales |= {f"series {name}": _scale(np.asarray(v)[good]) for name, v in found.outputs.items()}
-    return {"description": dict(program.description), "scales": scales, "failed_of_pilot": int((~good).sum())}
+    return {"description": plain(program.description), "scales": scales, "failed_of_pilot": int((~good).sum())}
 
 
 def _scale(values: np.ndarray) -> dict[str, list[float]]:
@@ -53,32 +54,40 @@ def _scale(values: np.ndarray) -> dict[str, list[float]]:
 
 
 class Task(NamedTuple):
-    """What a worker needs to compute a piece: the plan (pickled), what was fixed, lanes of a call."""
+    """What a worker needs to compute a piece.
+
+    Fields: token: hash of the plan; plan: pickled, for other processes; prepared: what was fixed; lanes of a call;
+    here: plan and program, for a worker in this process.
+    """
 
     token: str
     plan: bytes
     prepared: dict
     lanes: int
+    here: Any = None
 
     @classmethod
-    def of(cls, plan: SweepPlan, prepared: dict, lanes: int) -> "Task":
-        """The task of a plan."""
-        return cls(plan.hash(), pickle.dumps(plan), prepared, lanes)
+    def local(cls, plan: SweepPlan, prepared: dict, lanes: int, program: Any) -> "Task":
+        """The task of a plan that stays in this process."""
+        return cls(plan.hash(), b"", prepared, lanes, (plan, program))
+
+    @classmethod
+    def remote(cls, plan: SweepPlan, prepared: dict, lanes: int) -> "Task":
+        """The task of a plan for other processes. Raises TypeError for a plan that cannot be sent to them."""
+        try:
+            return cls(plan.hash(), pickle.dumps(plan), prepared, lanes)
+        except (pickle.PicklingError, AttributeError, TypeError) as error:
+            raise TypeError(
+                f"this sweep cannot be sent to other processes ({error}): define functions at the top of a module that "
+                "the workers can import, not inside a function"
+            ) from error
 
 
 @functools.lru_cache(maxsize=2)
-def _loaded(token: str, blob: bytes) -> tuple[SweepPlan, Any]:
+def _loaded(token: str, blob: bytes, fixed: str) -> tuple[SweepPlan, Any]:
     """The plan and its program, made once in each process."""
     plan = pickle.loads(blob)
-    return plan, plan.model.prepare(plan.varied(pilot_samples(plan)))
-
-
-def adopt(plan: SweepPlan, task: Task, program: Any) -> None:
-    """Let pieces of a task that are computed in this process use a program that is there already."""
-    _ADOPTED[task.token] = (plan, program)
-
-
-_ADOPTED: dict[str, tuple[SweepPlan, Any]] = {}
+    return plan, plan.model.prepare(plan.varied(pilot_samples(plan)), json.loads(fixed))
 
 
 def compute(task: Task, start: int, stop: int) -> Result:
@@ -90,7 +99,7 @@ def compute(task: Task, start: int, stop: int) -> Result:
     import time
 
     begun = time.perf_counter()
-    plan, program = _ADOPTED.get(task.token) or _loaded(task.token, task.plan)
+    plan, program = task.here or _loaded(task.token, task.plan, json.dumps(task.prepared["description"]))
     check_same(task.prepared["description"], program.description)
     samples = plan.samples(start, stop)
     found = run_lanes(plan, program, samples, task.lanes)
@@ -108,19 +117,19 @@ def compute(task: Task, start: int, stop: int) -> Result:
 def check_same(prepared: dict, mine: dict) -> None:
     """Raise RuntimeError when two descriptions of a program would not give the same numbers."""
     for key in ("engine", "precision", "steps"):
-        if prepared.get(key) != _plain(mine.get(key)):
+        if prepared.get(key) != plain(mine.get(key)):
             raise RuntimeError(
                 f"this worker would compute with {key} {mine.get(key)!r}, the sweep was begun with "
                 f"{prepared.get(key)!r}: use the same versions and settings, or begin a new sweep"
             )
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """As it comes back from JSON."""
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple | np.ndarray):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     return value.item() if isinstance(value, np.generic) else value
 
 
