@@ -1,0 +1,99 @@
+"""Steps for many lanes in step through stiff circuits: long where all rest, short where any moves fast.
+
+Some lanes are integrated together with an error test on the worst of them; the steps they needed then serve all
+lanes, whatever chunks these run in, so that results do not depend on who runs beside whom.
+"""
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxlines.simulation.plan import Plan, Values
+from jaxlines.simulation.rosenbrock import relative_error, step
+
+ORDER = 4
+"""A step's error estimate goes with this power of its length."""
+
+SMALLEST = 1e-12
+"""Shortest step, relative to the whole time."""
+
+
+class Steps(NamedTuple):
+    """Boundaries of steps [s], shape (steps + 1,), and the interval between samples that each is in, (steps,)."""
+
+    times: np.ndarray
+    interval: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """How many steps there are."""
+        return len(self.interval)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _trial(plan: Plan, values: Values, t, h, state):
+    """A step and the largest relative error of all lanes; infinite where one is not finite."""
+    new, error = step(plan, values, t, h, state)
+    size = relative_error(plan, new, error)
+    return new, jnp.max(jnp.where(jnp.isfinite(size), size, jnp.inf))
+
+
+def graded_steps(
+    plan: Plan, values: Values, times, start, tolerance: float, *, knots=(), max_steps: int = 100_000
+) -> Steps:
+    """The steps that some lanes need together; runs on the host, outside of traced code.
+
+    Args: values, start: of the lanes of a pilot, lanes last; times: of the samples [s], increasing; tolerance: largest
+        error estimate of a step, relative to each state plus its typical size; knots: further times at which steps end,
+        as the jumps and kinks of inputs [s]; max_steps: of the pilot, rejected ones included.
+    Returns: steps that end on all samples and knots.
+    Raises: RuntimeError when a lane fails however short the step, or when max_steps are not enough.
+    Validity: of the lanes it was made for. Others are as accurate where they move no faster; each lane's own error
+        estimate tells. The estimate is that of the third-order solution, so that errors are mostly far smaller.
+    """
+    times = np.asarray(times, dtype=float)
+    stops = np.unique(np.concatenate([times, np.asarray(knots, dtype=float).ravel()]))
+    stops = stops[(stops > times[0]) & (stops <= times[-1])]
+    shortest, state, taken, tried = SMALLEST * (times[-1] - times[0]), start, [times[0]], 0
+    h = 1e-3 * (stops[0] - times[0])
+    for stop in stops:
+        while taken[-1] < stop:
+            left = stop - taken[-1]
+            part = left if h >= left else min(h, 0.5 * left)  # two equal steps rather than a long and a tiny one
+            new, error = _trial(plan, values, taken[-1], part, state)
+            tried, worse = tried + 1, float(error) / tolerance
+            if worse <= 1.0:
+                state = new
+                taken.append(stop if part == left else taken[-1] + part)
+            h = part * min(max(0.9 * max(worse, 1e-8) ** (-1.0 / ORDER), 0.2), 5.0)
+            if h < shortest or tried >= max_steps:
+                raise RuntimeError(
+                    f"the pilot of the linearly implicit scheme stopped at {taken[-1]:g} s: "
+                    + (f"a step of {h:g} s is still too long" if h < shortest else f"{max_steps} steps are not enough")
+                )
+    return _steps(np.asarray(taken), times)
+
+
+def _steps(boundaries: np.ndarray, times: np.ndarray) -> Steps:
+    middle = 0.5 * (boundaries[1:] + boundaries[:-1])
+    return Steps(boundaries, (np.searchsorted(times, middle) - 1).astype(np.int32))
+
+
+def rounded_up(steps: Steps, times) -> Steps:
+    """The same steps, the longest of them halved until their number is one of few (15 % apart at most).
+
+    So the program, which is made for a number of steps, serves other values of a circuit.
+    """
+    count = 16
+    while count < steps.count:
+        count = max(count + 1, int(count * 1.15))
+    boundaries = steps.times
+    while len(boundaries) - 1 < count:
+        missing = count - (len(boundaries) - 1)
+        longest = np.sort(np.argsort(-np.diff(boundaries), kind="stable")[:missing])
+        middles = 0.5 * (boundaries[longest] + boundaries[longest + 1])
+        boundaries = np.insert(boundaries, longest + 1, middles)
+    return _steps(boundaries, np.asarray(times, dtype=float))
