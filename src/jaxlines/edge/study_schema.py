@@ -291,8 +291,11 @@ def _rows(keys: tuple[Key, ...]) -> list[str]:
 def keys_as_markdown() -> str:
     """Every key of study files as a page: tables of the file first, then everything that a table can describe."""
     lines = ["# Keys of study files", ""]
-    lines += ["Generated from code. Numbers carry their unit in the text, such as `\"12.8 mm\"`; any unit of "
-              "the same kind will do. Pressures that are levels say absolute (`bar_a`) or gauge (`bar_g`).", ""]  # fmt: skip
+    lines += [
+        'Generated from code. Numbers carry their unit in the text, such as `"12.8 mm"`; any unit of the same kind '
+        "will do. Pressures that are levels say absolute (`bar_a`) or gauge (`bar_g`).",
+        "",
+    ]
     for place in table_models():
         heading = f"`[{place}]`" if place else "Top of the file"
         heading = f"`[[{place}]]`" if place in ("fit.free", "fit.known") else heading
