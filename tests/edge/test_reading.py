@@ -127,6 +127,65 @@ def test_bad_columns_are_refused(tmp_path, time, channels, message):
         read_recording(written(tmp_path, table()), time=time, channels=channels)
 
 
+def resting(level, unit):
+    """A line that rests, vented, for a second and is then pressed to 60 bar; read in a unit."""
+    frame = table().rename(columns={"p [bar_g]": "p"})
+    frame["p"] = level + np.where(frame["t [s]"] < 1.0, 0.001 * np.sin(400 * frame["t [s]"]), 60 * frame["t [s]"])
+    return frame, {"A.pressure": ("p", unit)}
+
+
+@pytest.mark.parametrize(
+    ("level", "unit", "words"),
+    [
+        (
+            1.013,
+            "bar_g",
+            "starts one atmosphere above gauge zero, where a vented line read in absolute pressure would be",
+        ),
+        (0.01, "bar_a", "bar absolute, near vacuum, where a vented line in gauge pressure would be: is it bar_g?"),
+        (1.013, "bar_a", None),
+        (0.01, "bar_g", None),
+    ],
+)
+def test_gauge_for_absolute_and_the_other_way_round(tmp_path, level, unit, words):
+    frame, channels = resting(level, unit)
+    recording = read_recording(written(tmp_path, frame), time=TIME, channels=channels)
+    assert len(recording.warnings) == bool(words)
+    assert words is None or words in recording.warnings[0]
+
+
+def test_a_unit_with_a_number_is_what_one_in_the_file_means(tmp_path):
+    frame = table().rename(columns={"p [bar_g]": "u1 [V]"})
+    recording = read_recording(written(tmp_path, frame), time=TIME, channels={"A.pressure": ("u1 [V]", "40 bar_g")})
+    np.testing.assert_allclose(recording.channels["A.pressure"], frame["u1 [V]"] * 40e5 + 101325.0)
+    assert not [warning for warning in recording.warnings if "the file says" in warning]
+
+
+def test_headings_that_say_otherwise(tmp_path):
+    path = written(tmp_path, table())
+    recording = read_recording(path, time=TIME, channels={"A.pressure": ("p [bar_g]", "psi_g")})
+    assert recording.warnings == ("A.pressure (p [bar_g]): the file says bar_g, it is read in psi_g",)
+    recording = read_recording(path, time=TIME, channels={"A.pressure": ("p [bar_g]", "bar_a")})
+    assert recording.warnings == ("A.pressure (p [bar_g]): the file says bar_g, it is read as bar_a",)
+    with pytest.raises(ValueError, match=r"'q \[L/min\]' is in L/min by its heading, .* are columns swapped\?"):
+        read_recording(path, time=TIME, channels={"A.pressure": ("q [L/min]", "bar_g")})
+
+
+@pytest.mark.parametrize(
+    ("time", "message"),
+    [
+        (("#", "1 mm"), "time from row numbers, .*: unit 'mm' does not measure"),
+        (("t [s]", "s", "each 1 ms"), "the third word of the time can be \"every 10 ms\", got 'each 1 ms'"),
+        (("t [s]", "s", "every 1 mm"), "unit 'mm' does not measure"),
+        (("t [s]", "s", "every 1 s"), "a step of 1 s makes 2 samples"),
+        (("t [s]", "timestamp"), "is no time stamp in a known format: say how it is written"),
+    ],
+)
+def test_bad_times(tmp_path, time, message):
+    with pytest.raises(ValueError, match=message):
+        read_recording(written(tmp_path, table()), time=time, channels=CHANNELS)
+
+
 def test_the_unit_that_a_channel_must_have(tmp_path):
     with pytest.raises(ValueError, match=r"column 'q \[L/min\]': unit 'L/min' does not measure .* in Pa"):
         read_recording(written(tmp_path, table()), time=TIME, channels={"q": "q [L/min]"}, units={"q": "Pa"})
