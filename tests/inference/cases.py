@@ -49,3 +49,16 @@ def recording(pressure: np.ndarray, seed: int, noise: float = NOISE, flow=FLOW) 
     """The pressure with white noise, and the flow."""
     noisy = pressure + noise * np.random.default_rng(seed).standard_normal(pressure.size)
     return jl.Recording(TIMES, {"A.pressure": noisy, "flow": flow})
+
+
+def linear_line(conductance: float = 0.0) -> jl.Circuit:
+    """A line of 0.03 m^3 fed by a recorded flow, without air: p' = (K/V)(Q - G (p - p_tank)), linear in 1/V and K G."""
+    return jl.Circuit(
+        jl.Oil(bulk_modulus=1.4e9, density=850.0, air_fraction=0.0, mass="article"),
+        {
+            "line": jl.Line("A", jl.Vessel(volume=0.03)),
+            "valve": jl.FlowSource("A", "flow"),
+            "leak": jl.LaminarLeak("A", "T", conductance=conductance),
+            "tank": jl.Tank("T"),
+        },
+    )

@@ -82,12 +82,27 @@ class Loss:
         bend = (np.abs(z) <= k) if self.kind == "huber" else (k + 1.0) * (k - z**2) / (k + z**2) ** 2
         return float(max(np.mean(bend), 1e-3) ** 2 / max(np.mean(self.influence(z) ** 2), 1e-300))
 
+    def scale_cost(self, z) -> np.ndarray:
+        """chi(z), whose sum with ln sigma gives the noise level: rho where that is a likelihood.
+
+        For "huber" z chi'(z) = psi(z)^2, so that far outliers count no more than near ones (Huber's proposal 2):
+        chi = z^2/2 up to k, k^2/2 + k^2 ln(|z|/k) beyond.
+        """
+        if self.kind != "huber":
+            return self.cost(z)
+        size, k = np.abs(z), self._scale
+        return np.where(size <= k, 0.5 * size**2, 0.5 * k**2 + k**2 * np.log(np.maximum(size, k) / k))
+
     @property
     def consistency(self) -> float:
-        """E[z psi(z)] on the noise the level refers to: the normal core for "huber", 1 where rho is a likelihood."""
+        """E[z chi'(z)] on noise of the level 1, normal for "huber"."""
+        if self.kind != "huber":
+            return 1.0
         from scipy.special import ndtr
 
-        return float(2.0 * ndtr(self._scale) - 1.0) if self.kind == "huber" else 1.0
+        k = self._scale
+        tail, density = 1.0 - ndtr(k), np.exp(-0.5 * k**2) / np.sqrt(2.0 * np.pi)
+        return float(1.0 - 2.0 * tail - 2.0 * k * density + 2.0 * k**2 * tail)
 
     def log_normaliser(self) -> float:
         """ln of the integral of exp(-rho(z)) dz, so that exp(-rho - this)/sigma is a density."""

@@ -58,11 +58,12 @@ def as_noise(given, channel: str) -> Noise:
 def estimate_noise(noise: Noise, residuals, simulated, freedom: float, loss: Loss, floor: float) -> Noise:
     """The noise with what is not known of it estimated from the residuals of a channel by maximum likelihood.
 
-    Minimises sum rho(e/sigma)/(c f) + ln sigma over the unknown parts, where f is the share of the samples that the
-    parameters leave as degrees of freedom (n/(n - p) in the textbook formula) and c = E[z psi(z)] of the loss. The
-    term ln sigma is what keeps a relative noise from growing without limit. The model's parameters are held while
-    this is done and the weights are held while they are searched; the two steps in turn end where both agree
-    (generalised least squares), which has no bias from weights that depend on the model.
+    Minimises sum chi(e/sigma)/(c f) + ln sigma over the unknown parts, where f is the share of the samples that the
+    parameters leave as degrees of freedom (n/(n - p) in the textbook formula), chi = e^2/(2 sigma^2) for normal noise
+    (see `Loss.scale_cost`) and c the `Loss.consistency`. The term ln sigma is what keeps a relative noise from growing
+    without limit. The model's parameters are held while this is done and the weights are held while they are searched;
+    the two steps in turn end where both agree (generalised least squares), which has no bias from weights that depend
+    on the model.
 
     Args: residuals, simulated: used samples, SI, shape (samples,); freedom: f; floor: smallest level.
     Reference: Carroll and Ruppert, "Transformation and Weighting in Regression", 1988, ch. 2 and 3.
@@ -85,7 +86,9 @@ def estimate_noise(noise: Noise, residuals, simulated, freedom: float, loss: Los
 
     def cost(logs) -> float:
         sigma = np.maximum(filled(logs).level(simulated), floor)
-        return float(np.mean(loss.cost(residuals / sigma)) / (loss.consistency * freedom) + np.mean(np.log(sigma)))
+        return float(
+            np.mean(loss.scale_cost(residuals / sigma)) / (loss.consistency * freedom) + np.mean(np.log(sigma))
+        )
 
     best = None
     for share in (0.0, -2.0) if len(unknown) == 2 else (0.0,):  # the second start has little absolute noise

@@ -268,6 +268,8 @@ def make_problem(
         fitted, units = _split_channels(circuit, plan, recording)
         known_places = parameter_locations(plan, values, signals)
     free, known = check_parameters(circuit, free, known, known_places)
+    full = {resolve(path, known_places): value for path, value in recording.conditions.items()}
+    recording = dataclasses.replace(recording, conditions=full)
     _check_recorded(recording, free, signals, steady)
     locations, groups = _places(plan, values, signals, [*free, *known])
     known_values = np.asarray([_number(values, known_places, k.path) for k in known])
@@ -293,13 +295,15 @@ def make_problem(
 
 
 def _check_recorded(recording: Recording, free: tuple[Free, ...], signals: dict[str, Sampled], steady: bool) -> None:
-    """Raise for parameters that the inputs or the start of a recording rule out."""
+    """Raise for parameters that the inputs, conditions or the start of a recording rule out."""
     for path in (path for parameter in free for path in parameter.paths):
         owner, _, rest = path.partition(".")
         if steady and owner == "initial":
             raise ValueError(
                 f'{path} cannot be free: {recording.name} starts "steady", so that it follows from the rest'
             )
+        if path in recording.conditions:
+            raise ValueError(f"{path} is free and among the conditions of {recording.name}: it cannot be both")
         if rest == "delay" and owner in signals and signals[owner].method == "hold":
             raise ValueError(
                 f'{path} cannot be estimated with interpolation="hold", whose jumps have no derivative: use "cubic"'

@@ -11,6 +11,7 @@ import numpy as np
 from jaxlines.physics.fields import AbstractSignal, driven_of
 from jaxlines.simulation.balance import imbalance
 from jaxlines.simulation.integration import Method, integrate, integrate_with_sensitivities
+from jaxlines.simulation.paths import leaf_paths
 from jaxlines.simulation.plan import Initial, Plan, Values, unravel
 from jaxlines.simulation.signals import Constant
 from jaxlines.simulation.steady import _solve as solve_balance
@@ -92,9 +93,7 @@ def sensitivity(plan, wanted, method, places, groups, numbers, sizes, values, ti
     leaves, structure = jax.tree.flatten(place_numbers(values, places, numbers))
     touched = {place.position for place in places}
     if steady:
-        marked = eqx.tree_at(lambda v: v.initial, values, replace_fn=lambda tree: jax.tree.map(lambda x: None, tree))
-        kept = jax.tree.leaves(marked, is_leaf=lambda x: x is None)
-        touched |= {position for position, leaf in enumerate(kept) if leaf is None}
+        touched |= {i for i, path in enumerate(leaf_paths(values)) if path.startswith("initial.")}
     order = sorted(touched)
 
     def rebuild(moved):

@@ -30,7 +30,11 @@ _SWAPS = {
     )
 }
 _GRAVE = 100.0
-_ALIKE = 0.16  # decades: a start of a fit that is half wrong still tells a factor of 10 from one of 14.5
+"""No start of a fit is wrong by this factor."""
+
+_ALIKE, _ALIKE_FAR = 0.16, 0.35
+"""Decades within which a factor is that of a unit; a fit may start a factor of two off, and the smaller factors lie
+too near to each other for that."""
 
 
 class Fault(NamedTuple):
@@ -147,7 +151,8 @@ def _guess(unit: str, factor: float) -> str:
     read = [(abs(np.log10(factor / f)), f"was it recorded in {word}?") for f, word in _UNITS.get(unit, ())]
     read += [(abs(np.log10(factor / f)), f"it looks as if {words}") for f, words in _SWAPS.get(unit, ())]
     distance, text = min(read, default=(np.inf, ""))
-    return text if distance < _ALIKE else ""
+    grave = not 1.0 / _GRAVE < factor < _GRAVE
+    return text if distance < (_ALIKE_FAR if grave else _ALIKE) else ""
 
 
 def find_faults(recording: Recording, simulated: dict[str, np.ndarray], units: dict[str, str]) -> list[Fault]:
