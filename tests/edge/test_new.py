@@ -243,6 +243,17 @@ def test_the_command(folder, tmp_path):
     assert forced.exit_code == 0 and "wrote" in forced.stdout
 
 
+def test_what_must_be_mended_first_is_said(tmp_path):
+    rows = [f"{i % 20},{5 + i % 3}" for i in range(40)]
+    (tmp_path / "two.csv").write_text("\n".join(["t [s],PS1 [bar_g]", *rows]))
+    done = run("new", tmp_path / "s.toml", "--from", tmp_path / "two.csv")
+    assert done.exit_code == 0 and "FIRST recording: " in done.stdout
+    assert (
+        "does not increase in data row 21 (19 s, then 0 s): are rows out of order, or two runs in one file?"
+        in done.stdout
+    )
+
+
 @pytest.mark.parametrize(
     ("content", "arguments", "words"),
     [

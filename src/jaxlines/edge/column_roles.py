@@ -14,8 +14,8 @@ from jaxlines.physics.fields import ATMOSPHERE
 _NAMES = {
     "time": r"(t|time|zeit|temps|timestamp|date.?time|datum|uhrzeit|sec|k|sample)\b|.*(time|zeit)(stamp|stempel)?$",
     "temperature": r".*temp(eratur|erature)?\b|t_?(oil|oel|öl|tank)",
-    "pressure": r"p([\W_\d]|$)|p(_|s|t|a|b|p)\b|.*(press|druck|pression)|pg?_?\d",
-    "flow": r"q([\W_\d]|$)|.*(flow|durchfluss|volumenstrom|debit|débit)",
+    "pressure": r"p([\W_\d]|$)|p(_|s|t|a|b|p)\b|.*(press|druck|pression)|p[gs]?_?\d",
+    "flow": r"q([\W_\d]|$)|.*(flow|durchfluss|zulauf|volumenstrom|debit|débit)|fs_?\d",
     "volume": r"vol|.*(volum|displaced|verdr)|dv\b|v$",
     "command": r".*(spool|cmd|command|stell|servo|signal|solenoid)|u([\W_\d]|$)|.*(valve|ventil)",
     "position": r"(x|y|s)([\W_\d]|$)|.*(pos|weg|hub|stroke|travel|displacement)",

@@ -20,6 +20,18 @@ Force = Annotated[bool, typer.Option("--force", help="Write over an existing stu
 Target = Annotated[Path, typer.Argument(metavar="STUDY", help="The study file to write (TOML).")]
 
 
+def _trouble(study: Path) -> str:
+    """Why a study that was just written cannot be read; "" where it can."""
+    from jaxlines.edge.building import StudyError
+    from jaxlines.edge.study import load_study
+
+    try:
+        load_study(study)
+    except StudyError as error:
+        return " ".join(str(error).split()).removeprefix(f"{study}: ")
+    return ""
+
+
 def _new(study: Path, recording: Path, template: str | None, step: str | None, force: bool) -> None:
     """Propose a study, show what it is, write it."""
     from jaxlines.edge.building import StudyError
@@ -40,6 +52,9 @@ def _new(study: Path, recording: Path, template: str | None, step: str | None, f
     typer.echo(
         f"  CHECK {guesses} more numbers marked in the file: geometry and data-sheet values that no recording tells"
     )
+    trouble = _trouble(study)
+    if trouble:
+        typer.echo(f"  FIRST {trouble}")
     typer.echo(f"next: jaxlines check {study}")
 
 

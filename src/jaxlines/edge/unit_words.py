@@ -10,6 +10,7 @@ _SPELLINGS = {
     "ml/s": "mL/s", "ml/min": "mL/min", "ml": "mL", "l": "L", "cc": "cm^3", "ccm": "cm^3", "gpm": "gpm",
     "sec": "s", "secs": "s", "seconds": "s", "second": "s", "sek": "s", "msec": "ms", "millisec": "ms",
     "milliseconds": "ms", "minutes": "min", "hours": "hour", "h": "hour",
+    "m3/s": "m^3/s", "m3s": "m^3/s", "m3/h": "m^3/hour", "m^3/h": "m^3/hour",
     "mpa": "MPa", "kpa": "kPa", "pa": "Pa", "hpa": "hPa", "bar": "bar", "mbar": "mbar", "psi": "psi",
     "1/min": "rpm", "min-1": "rpm", "min^-1": "rpm", "u/min": "rpm", "rpm": "rpm", "upm": "rpm",
     "°": "deg", "degc": "degC", "°c": "degC", "pct": "%", "prozent": "%", "percent": "%", "mm^3": "mm^3",
@@ -18,9 +19,9 @@ _LEVEL = re.compile(r"(bar|mbar|psi|m?pa|kpa|hpa)[ _]?[\[(]?(a|g|abs|absolute|ga
 # As a last word without brackets only units that are no abbreviation of something else ("p_in", "q_min", "x_cmd").
 _LAST_WORDS = [
     "s", "ms", "us", "sec", "bar", "mbar", "psi", "Pa", "kPa", "MPa", "hPa", "L/min", "l/min", "lpm", "gpm", "L/s",
-    "m^3/s", "mL/s", "mL", "ml", "cm^3", "m^3", "mm", "cm", "mm/s", "m/s", "rpm", "1/min", "rad/s", "deg", "rad", "kN",
-    "Nm", "%", "pct", "mV", "mA", "degC", "°C", "Hz", "kHz", "barg", "bara", "psig", "psia", "bar_g", "bar_a", "psi_g",
-    "psi_a", "Pa_g", "Pa_a", "kPa_g", "kPa_a", "MPa_g", "MPa_a",
+    "m^3/s", "m3s", "m3/s", "mL/s", "mL", "ml", "cm^3", "m^3", "mm", "cm", "mm/s", "m/s", "rpm", "1/min", "rad/s",
+    "deg", "rad", "kN", "Nm", "%", "pct", "mV", "mA", "degC", "°C", "Hz", "kHz", "barg", "bara", "psig", "psia",
+    "bar_g", "bar_a", "psi_g", "psi_a", "Pa_g", "Pa_a", "kPa_g", "kPa_a", "MPa_g", "MPa_a",
 ]  # fmt: skip
 _ABSOLUTE = ("a", "abs", "absolute")
 _SUPERSCRIPTS = str.maketrans({"²": "^2", "³": "^3", "·": "*", "μ": "u", "µ": "u"})
