@@ -73,4 +73,5 @@ def pick(places: Sequence[Quantity], array_of: Callable[[Quantity], Any]):
         for index, length in zip(place.index, room.shape, strict=True):
             position = position * length + index
         at.append(room.offset + position)
-    return jnp.concatenate(flat)[np.asarray(at)]
+    lanes = jnp.broadcast_shapes(*(array.shape[1:] for array in flat))
+    return jnp.concatenate([jnp.broadcast_to(array, (array.shape[0], *lanes)) for array in flat])[np.asarray(at)]

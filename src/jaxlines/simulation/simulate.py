@@ -24,7 +24,7 @@ def _run(plan, wanted, method, values, times, tolerance):
     return integrate(plan, wanted, method, values, times, tolerance)
 
 
-def _wanted(circuit: Circuit, plan: Plan, outputs) -> dict[str, str]:
+def wanted_units(circuit: Circuit, plan: Plan, outputs) -> dict[str, str]:
     """Names of the outputs and their units: those asked for, else all sensors, potentials and states."""
     units = {name: q.unit for name, q in quantities(plan).items()} | sensor_units(circuit, plan)
     if outputs is None:
@@ -32,7 +32,7 @@ def _wanted(circuit: Circuit, plan: Plan, outputs) -> dict[str, str]:
     return {resolve(name, units, "output"): units[resolve(name, units, "output")] for name in outputs}
 
 
-def _checked_times(times):
+def checked_times(times):
     """Times as an array of two or more, strictly increasing."""
     times = times if isinstance(times, jax.Array) else np.asarray(times, dtype=float)
     if times.ndim != 1 or times.size < 2:
@@ -94,14 +94,14 @@ def simulate(
     Returns: a `Simulation`: outputs by name, status, step counts, `validity()`, `to_xarray()`.
     Raises: ValueError and KeyError for a wrong call; RuntimeError (with `throw`) for a failed trajectory.
     """
-    times = _checked_times(times)
+    times = checked_times(times)
     traced = is_traced(circuit, times, inputs, initial)
     with computing_in(precision, circuit, times, inputs, initial):
         bound = bind_inputs(circuit, inputs, times)
         initial = _start(circuit, bound, times, initial, precision)
         circuit = choose_segments(circuit, times, bound, initial=initial, highest_frequency=highest_frequency)
         plan, values = compile_circuit(circuit, initial, bound)
-        wanted = _wanted(circuit, plan, outputs)
+        wanted = wanted_units(circuit, plan, outputs)
         method = make_method(solver, gradient, max_steps, max_step)
         values, times, tolerance = cast((values, times, np.asarray(tolerance)), precision)
         found = _run(plan, tuple(wanted), method, values, times, tolerance)

@@ -91,9 +91,10 @@ def _readings(values: Values, readings: tuple[Reading, ...], find: Callable[[Qua
 
 def look(plan: Plan, values: Values, t, potentials, states) -> Sight:
     """What every kind sees at time t."""
-    external = [jnp.asarray(signal(t)) for signal in values.signals]
-    outputs = [jnp.asarray(0.0)] * sum(len(controller.outputs) for controller in plan.controllers)
-    inputs = jnp.stack([*external, *outputs]) if external or outputs else jnp.zeros(0)
+    lanes = jnp.shape(potentials)[1:]
+    external = [jnp.broadcast_to(signal(t), lanes) for signal in values.signals]
+    outputs = [jnp.zeros(lanes)] * sum(len(controller.outputs) for controller in plan.controllers)
+    inputs = jnp.stack([*external, *outputs]) if external or outputs else jnp.zeros((0, *lanes))
     read: dict[int, dict] = {}
     for controller in plan.controllers:  # each after those whose outputs it needs
         sight, k = _look(plan, values, t, potentials, states, inputs, read), controller.kind

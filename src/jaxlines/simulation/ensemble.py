@@ -1,0 +1,289 @@
+"""Many variations of a circuit at once: `ensemble`, and `prepare_ensemble` for running a plan chunk by chunk."""
+
+import dataclasses
+import os
+import time
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxlines.simulation.assembly import compile_circuit, number_locations
+from jaxlines.simulation.circuit import Circuit
+from jaxlines.simulation.ensemble_columns import Paths, columns_of, out_of_range, places_of
+from jaxlines.simulation.ensemble_program import ChunkResult, LaneProgram, is_small, run_chunk
+from jaxlines.simulation.ensemble_result import LANE_STATUS, Audit, Ensemble
+from jaxlines.simulation.inputs import bind_inputs
+from jaxlines.simulation.integration import make_method
+from jaxlines.simulation.lane_field import special_numbers
+from jaxlines.simulation.lane_times import input_times, step_grid
+from jaxlines.simulation.plan import Values
+from jaxlines.simulation.precision import cast, computing_in
+from jaxlines.simulation.reductions import AbstractReduction
+from jaxlines.simulation.segments import choose_segments
+from jaxlines.simulation.simulate import checked_times, wanted_units
+
+CACHE_BYTES = 3_000_000
+"""Bytes of a chunk's arrays that should stay in the caches of a core."""
+
+FEWEST, MOST_ON_CPU, MOST_ON_GPU = 128, 8192, 131072
+"""Lanes of a chunk. They are multiples of 128, so that every lane is computed by the same vector instructions and
+results do not depend on the size of the chunk."""
+
+
+@dataclasses.dataclass(frozen=True)
+class EnsembleProgram:
+    """A plan for an ensemble: engine, steps and error calibration are fixed once; `run` it for any lanes.
+
+    Fields: circuit; program: what is compiled; paths: of each varied number; values: those of the circuit; times
+    [s]; grid: where steps end; units of the outputs; steps between stops; tolerance; precision; audit;
+    description: what the numbers depend on, for a record; seconds spent so far.
+    """
+
+    circuit: Circuit
+    program: LaneProgram
+    paths: tuple[tuple[str, ...], ...]
+    values: Values
+    times: np.ndarray
+    grid: np.ndarray
+    names: tuple[str, ...]
+    units: dict[str, str]
+    steps: int
+    tolerance: float
+    precision: str
+    audit: Audit | None
+    seconds: dict[str, float]
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """What the numbers depend on."""
+        import diffrax
+
+        return {
+            "engine": self.program.engine,
+            "steps": self.steps,
+            "precision": self.precision,
+            "tolerance": self.tolerance,
+            "factor": self.audit.factor if self.audit else 1.0,
+            "solver": type(self.program.method.solver).__name__ if self.program.engine == "adaptive" else "",
+            "platform": jax.default_backend(),
+            "versions": {"jax": jax.__version__, "diffrax": diffrax.__version__, "numpy": np.__version__},
+        }
+
+    def chunk_lanes(self, lanes: int) -> int:
+        """How many lanes are run at once."""
+        if self.program.engine == "adaptive":
+            return FEWEST
+        if jax.default_backend() != "cpu":
+            return min(MOST_ON_GPU, _power_of_two(lanes))
+        width = np.dtype(self.precision).itemsize * (
+            6 * self._num_states() + sum(np.size(leaf) for leaf in jax.tree.leaves(self.values.kinds))
+        )
+        fits = FEWEST * max(int(CACHE_BYTES / (FEWEST * width)), 1)
+        share = -(-lanes // workers())
+        return int(np.clip(min(_power_of_two(fits + 1) // 2, _power_of_two(share)), FEWEST, MOST_ON_CPU))
+
+    def _num_states(self) -> int:
+        plan = self.program.plan
+        return len(plan.free_nodes) + sum(int(np.prod(s.shape)) * len(k.members) for k in plan.kinds for s in k.states)
+
+    def run(
+        self,
+        varied: dict[Paths, Any],
+        *,
+        chunk: int | None = None,
+        progress: Callable[[str, float], None] | None = None,
+    ) -> Ensemble:
+        """Results for other values of the varied numbers, (lanes,) each, in the order of preparation or by name.
+
+        Args: chunk: lanes at once, a multiple of 128; by default what suits the cache or the device. Results do
+        not depend on it. Raises: ValueError or KeyError for a wrong call; a lane that fails has a status instead.
+        """
+        began = time.perf_counter()
+        columns = self.ordered(varied)
+        bad = out_of_range(self.circuit, list(self.paths), columns)
+        good = np.flatnonzero(~bad)
+        found = _Found(self, bad.size)
+        found.status[bad] = LANE_STATUS["out_of_range"]
+        if good.size:
+            self._run_lanes(columns, good, self.steps, found, chunk, progress)
+            self._run_again(columns, good, found, chunk, progress)
+        seconds = {**self.seconds, "run": time.perf_counter() - began}
+        return found.ensemble(seconds)
+
+    def ordered(self, varied: dict[Paths, Any]) -> list[np.ndarray]:
+        """The varied numbers in the order of preparation, lanes last."""
+        known = {path: i for i, paths in enumerate(self.paths) for path in paths}
+        places = places_of(varied, {path: (i, None) for path, i in known.items()})
+        by_place = dict(zip(places, columns_of(varied), strict=True))
+        missing = [paths for paths in self.paths if paths not in by_place]
+        if missing:
+            raise ValueError(f"this ensemble varies {', '.join(missing[0])} too: give its values")
+        return [by_place[paths] for paths in self.paths]
+
+    def _run_lanes(self, columns, lanes: np.ndarray, steps: int, found: "_Found", chunk, progress) -> None:
+        """Run some lanes chunk by chunk, on all cores, and write down what they give."""
+        size = checked_chunk(chunk) if chunk else self.chunk_lanes(lanes.size)
+        parts = [lanes[i : i + size] for i in range(0, lanes.size, size)]
+        done = 0
+
+        def one(part: np.ndarray) -> None:
+            found.write(part, self.run_padded(columns, part, size, steps))
+
+        with ThreadPoolExecutor(min(workers(), len(parts))) as pool:
+            for part, _ in zip(parts, pool.map(one, parts), strict=True):
+                done += part.size
+                if progress:
+                    progress(f"{done} of {lanes.size} lanes", done / lanes.size)
+
+    def _run_again(self, columns, lanes: np.ndarray, found: "_Found", chunk, progress) -> None:
+        """Run lanes that are not exact enough, or not finite, with 4 and 16 times as many steps; flag the rest."""
+        if self.program.engine == "adaptive":
+            return
+        for times_as_many in (4, 16):
+            over = lanes[self._over(found.error[lanes])]
+            if not over.size:
+                return
+            self._run_lanes(columns, over, times_as_many * self.steps, found, chunk, progress)
+        over = lanes[np.isfinite(found.error[lanes]) & ~(found.error[lanes] <= self.tolerance)]
+        found.status[over] = np.where(
+            found.status[over] == LANE_STATUS["ok"], LANE_STATUS["inaccurate"], found.status[over]
+        )
+
+    def run_padded(
+        self, columns, part: np.ndarray, size: int, steps: int, program: LaneProgram | None = None
+    ) -> ChunkResult:
+        """The results of some lanes, filled up to a size with the first of them."""
+        index = np.concatenate([part, np.full(size - part.size, part[0])])
+        chosen = tuple(np.ascontiguousarray(column[..., index]) for column in columns)
+        program = program or self.program
+        tolerance = np.asarray(self.tolerance if program is self.program else 1e-2 * self.tolerance)
+        with computing_in(self.precision):
+            data = cast((self.values, chosen, self.grid), self.precision)
+            result = run_chunk(program, *data, np.asarray(steps), np.asarray(tolerance, self.precision))
+            return jax.tree.map(lambda x: np.asarray(x)[..., : part.size], result)
+
+
+class _Found:
+    """Arrays that the chunks of an ensemble write into."""
+
+    def __init__(self, program: EnsembleProgram, lanes: int):
+        self.program = program
+        series, kind = (len(program.program.kept), len(program.times), lanes), program.precision
+        self.series = np.full(series, np.nan, kind)
+        self.reduced = np.full((len(program.program.reductions), lanes), np.nan, kind)
+        self.status = np.zeros(lanes, np.int8)
+        self.error = np.full(lanes, np.nan)
+
+    def write(self, part: np.ndarray, result: ChunkResult) -> None:
+        """Write down what a chunk gave; lanes that are not finite leave no numbers behind."""
+        failed = ~np.isin(result.status, [LANE_STATUS["ok"], LANE_STATUS["tension"]])
+        self.series[..., part] = np.where(failed, np.nan, np.moveaxis(result.series, 1, 0))
+        self.reduced[:, part] = np.where(failed, np.nan, result.reductions)
+        self.status[part] = result.status
+        factor = self.program.audit.factor if self.program.audit else 1.0
+        self.error[part] = factor * result.estimate
+
+    def ensemble(self, seconds: dict[str, float]) -> Ensemble:
+        """The result."""
+        program = self.program
+        kept = [program.program.observed[i] for i in program.program.kept]
+        return Ensemble(
+            times=program.times,
+            outputs={name: self.series[k].T for k, name in enumerate(kept)},
+            reductions=dict(zip(program.names, self.reduced, strict=True)),
+            status_code=self.status,
+            error=self.error,
+            audit=program.audit,
+            units={name: program.units[name] for name in kept},
+            description=program.description,
+            seconds=seconds,
+        )
+
+
+def workers() -> int:
+    """Threads that run chunks: one for each core that this process may use, or for each other device."""
+    if jax.default_backend() != "cpu":
+        return jax.local_device_count()
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+
+
+def _power_of_two(count: int) -> int:
+    """The next power of two."""
+    return 1 << max(int(count) - 1, 0).bit_length()
+
+
+def checked_chunk(chunk: int) -> int:
+    """The size of a chunk. Raises: ValueError unless it is a multiple of 128."""
+    if chunk < FEWEST or chunk % FEWEST:
+        raise ValueError(f"chunk must be a multiple of {FEWEST} lanes, got {chunk}")
+    return int(chunk)
+
+
+def make_program(
+    circuit: Circuit,
+    times,
+    varied: dict[Paths, Any],
+    inputs: dict | None,
+    initial: dict | None,
+    outputs: Iterable[str] | None,
+    reductions: dict[str, AbstractReduction] | None,
+    tolerance: float,
+    precision: str,
+    solver,
+    max_steps: int,
+) -> EnsembleProgram:
+    """A program without engine, steps and audit yet; see `prepare_ensemble`."""
+    times = checked_times(times)
+    if not 1e-12 <= tolerance <= 0.1:
+        raise ValueError(f"tolerance must be 1e-12..0.1 (a share of each output's magnitude), got {tolerance:g}")
+    if initial is not None and not isinstance(initial, dict):
+        raise ValueError(
+            f"initial must be a table of start values, got {initial!r}: every lane would have its own steady state; "
+            "let the inputs rest for a while before what you are after"
+        )
+    columns, reductions = columns_of(varied), dict(reductions or {})
+    with computing_in(precision):
+        bound = bind_inputs(circuit, inputs, times)
+        circuit = choose_segments(circuit, times, bound, initial=initial)
+        plan, values = compile_circuit(circuit, initial, bound)
+        places = places_of(varied, number_locations(plan, values))
+    if out_of_range(circuit, list(places), columns).all():
+        raise ValueError("no lane has all its varied numbers within their ranges: are they in SI?")
+    shown = wanted_units(circuit, plan, [] if outputs is None and reductions else outputs)
+    needed = wanted_units(circuit, plan, [name for r in reductions.values() for name in r.outputs])
+    pressures = {f"{node}.pressure": "Pa" for node, domain in plan.free_nodes if domain == "hydraulic"}
+    units = shown | needed | pressures
+    observed = tuple(units)
+    taken = tuple(tuple(observed.index(n) for n in wanted_units(circuit, plan, r.outputs)) for r in reductions.values())
+    program = LaneProgram(
+        plan=plan,
+        observed=observed,
+        places=tuple(places.values()),
+        kept=tuple(observed.index(name) for name in shown),
+        reductions=tuple(reductions.values()),
+        taken=taken,
+        pressures=tuple(observed.index(name) for name in pressures),
+        engine="explicit",
+        small=is_small(plan, values),
+        method=make_method(solver, "forward", max_steps),
+        fixed=special_numbers(values, tuple(places.values())) if is_small(plan, values) else (),
+    )
+    grid = step_grid(times, input_times(values))
+    return EnsembleProgram(
+        circuit,
+        program,
+        tuple(places),
+        values,
+        times,
+        grid,
+        tuple(reductions),
+        units,
+        1,
+        tolerance,
+        precision,
+        None,
+        {},
+    )

@@ -1,0 +1,211 @@
+"""The compiled program of an ensemble: a chunk of lanes from its numbers to its results."""
+
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxlines.simulation.assembly import Location, set_numbers
+from jaxlines.simulation.block_field import BlockField, implicit_interval
+from jaxlines.simulation.integration import Method, integrate
+from jaxlines.simulation.lane_field import LaneField
+from jaxlines.simulation.lockstep import explicit_interval, march
+from jaxlines.simulation.lockstep_adjoint import march_adjoint
+from jaxlines.simulation.lockstep_tangent import march_tangent
+from jaxlines.simulation.plan import Plan, Values
+from jaxlines.simulation.reductions import AbstractReduction
+from jaxlines.simulation.result import STATUS
+
+ENGINES = ("explicit", "implicit", "adaptive")
+
+MOST_STATES, MOST_NUMBERS = 48, 1500
+"""Up to so many states and numbers of a circuit, every number is a lane array of its own (`LaneField`)."""
+
+
+class LaneProgram(NamedTuple):
+    """Everything static about the runs of an ensemble.
+
+    Fields: plan; observed: names of all that is looked at; places: for each varied number where it is; kept: which
+    of the observed are returned as series; reductions, and for each which of the observed it takes; pressures:
+    which of the observed are pressures of free nodes; engine: one of `ENGINES`; small: whether every number
+    is a lane array of its own; method: of the adaptive engine; fixed: see `special_numbers`.
+    """
+
+    plan: Plan
+    observed: tuple[str, ...]
+    places: tuple[tuple[Location, ...], ...]
+    kept: tuple[int, ...]
+    reductions: tuple[AbstractReduction, ...]
+    taken: tuple[tuple[int, ...], ...]
+    pressures: tuple[int, ...]
+    engine: str
+    small: bool
+    method: Method
+    fixed: tuple[tuple[int, int, float], ...] = ()
+
+
+class ChunkResult(NamedTuple):
+    """Of one chunk of lanes: series (samples, kept, lanes), reductions (reductions, lanes), status codes and error
+    estimates (lanes,)."""
+
+    series: Any
+    reductions: Any
+    status: Any
+    estimate: Any
+
+
+def is_small(plan: Plan, values: Values) -> bool:
+    """Whether a circuit is small enough for a lane array for each of its numbers."""
+    states = len(plan.free_nodes) + sum(
+        int(np.prod(s.shape)) * len(kind.members) for kind in plan.kinds for s in kind.states
+    )
+    numbers = sum(int(np.prod(np.shape(leaf))) for leaf in jax.tree.leaves((values.kinds, values.fluid)))
+    return 0 < states <= MOST_STATES and numbers <= MOST_NUMBERS
+
+
+def numbers_of_lane(program: LaneProgram, values: Values, numbers) -> Values:
+    """The values of one lane."""
+    locations = [place for places in program.places for place in places]
+    repeated = [number for places, number in zip(program.places, numbers, strict=True) for _ in places]
+    return set_numbers(values, locations, repeated)
+
+
+def field_of(program: LaneProgram, values: Values, columns, t, partials: bool = False):
+    """The vector field of the lanes."""
+    if program.small or partials:
+        field = LaneField(program.plan, values, program.places, program.observed, program.fixed)
+        return field.bind(values, columns, t, partials)
+    return BlockField(program.plan, values, program.places, program.observed, columns, t)
+
+
+def _marched(program: LaneProgram, values: Values, columns, grid, steps):
+    """Outputs (samples, observed, lanes) and error estimates of the lockstep engines."""
+    implicit = program.engine == "implicit"
+    program = program._replace(small=program.small and not implicit)
+    field = field_of(program, values, columns, grid[0, -1])
+    interval = implicit_interval if implicit else explicit_interval
+    return march(field, interval, grid, steps, field.start(), jnp.zeros(field.shape, grid.dtype))
+
+
+def _adapted(program: LaneProgram, values: Values, columns, times, tolerance):
+    """Outputs (samples, observed, lanes) and status codes of the adaptive engine."""
+
+    def one(numbers):
+        found = integrate(
+            program.plan, program.observed, program.method, numbers_of_lane(program, values, numbers), times, tolerance
+        )
+        return found.outputs, found.status
+
+    return jax.vmap(one, in_axes=-1, out_axes=-1)(list(columns))
+
+
+def _status(program: LaneProgram, values: Values, columns, outputs):
+    """Status codes of lanes from their outputs."""
+
+    def fluid_of(numbers):
+        fluid = numbers_of_lane(program, values, numbers).fluid
+        return fluid.air_content(), jnp.asarray(fluid.vapour_pressure)
+
+    air, vapour = jax.vmap(fluid_of, in_axes=-1)(list(columns))
+    status = jnp.full(outputs.shape[-1], STATUS["ok"], jnp.int8)
+    if program.pressures:
+        lowest = jnp.min(outputs[:, np.asarray(program.pressures)], axis=(0, 1))
+        status = jnp.where((air <= 0.0) & (lowest < vapour), jnp.int8(STATUS["tension"]), status)
+    return jnp.where(jnp.all(jnp.isfinite(outputs), axis=(0, 1)), status, jnp.int8(STATUS["non_finite"]))
+
+
+def _chunk(program: LaneProgram, values: Values, columns, grid, steps, tolerance) -> ChunkResult:
+    times = grid[:, -1]
+    if program.engine == "adaptive":
+        outputs, solved = _adapted(program, values, columns, times, tolerance)
+        estimate = jnp.full(outputs.shape[-1], jnp.nan, outputs.dtype)
+        status = jnp.where(solved == STATUS["ok"], _status(program, values, columns, outputs), solved.astype(jnp.int8))
+    else:
+        outputs, estimate = _marched(program, values, columns, grid, steps)
+        status = _status(program, values, columns, outputs)
+    reductions = [
+        reduction(times, *(outputs[:, i] for i in taken))
+        for reduction, taken in zip(program.reductions, program.taken, strict=True)
+    ]
+    reduced = jnp.stack(reductions) if reductions else jnp.zeros((0, outputs.shape[-1]), outputs.dtype)
+    return ChunkResult(outputs[:, np.asarray(program.kept, dtype=int)], reduced, status, estimate)
+
+
+def run_chunk(program: LaneProgram, values: Values, columns, grid, steps, tolerance) -> ChunkResult:
+    """The results of a chunk of lanes; compiled once for each program and size of chunk."""
+    return compiled(_chunk)(program, values, columns, grid, steps, tolerance)
+
+
+@functools.cache
+def compiled(function, static: tuple[int, ...] = (0,)):
+    """A function of lanes as a program of its own, for the widest vector instructions of the processor.
+
+    XLA prefers 256 bits on processors that have 512; on others the option changes nothing.
+    """
+    options = {"xla_cpu_prefer_vector_width": "512"} if jax.default_backend() == "cpu" else None
+    return jax.jit(function, static_argnums=static, compiler_options=options)
+
+
+def chunk_tangent(program: LaneProgram, values: Values, columns, grid, steps):
+    """Outputs (samples, observed, lanes) and their derivatives (samples, columns, observed, lanes)."""
+    if program.small and program.engine == "explicit":
+        return march_tangent(field_of(program, values, columns, grid[0, -1], partials=True), grid, steps)
+
+    def outputs(columns):
+        return _marched(program, values, columns, grid, steps)[0]
+
+    def along(c):
+        tangents = [jnp.full_like(x, k == c) for k, x in enumerate(columns)]
+        return jax.jvp(outputs, (list(columns),), (tangents,))
+
+    shown, slopes = jax.lax.map(along, jnp.arange(len(columns)))
+    return shown[0], jnp.moveaxis(slopes, 0, 1)
+
+
+def lane_outputs(program: LaneProgram, values: Values, grid, steps: int):
+    """A function of the columns that gives outputs (samples, observed, lanes), differentiable in reverse."""
+    if not program.small or program.engine != "explicit":
+
+        def marched(columns):
+            return _marched(program, values, columns, grid, steps)[0]
+
+        return jax.checkpoint(marched)
+
+    def bound(columns, partials):
+        return field_of(program, values, columns, grid[0, -1], partials)
+
+    @jax.custom_vjp
+    def outputs(columns):
+        field = bound(columns, False)
+        return march(field, explicit_interval, grid, steps, field.start(), jnp.zeros(field.shape, grid.dtype))[0]
+
+    def forward(columns):
+        field = bound(columns, False)
+        states, shown = march_states(field, grid, steps)
+        return shown, (columns, states)
+
+    def backward(kept, given):
+        columns, states = kept
+        return (march_adjoint(bound(columns, True), grid, steps, states, given),)
+
+    outputs.defvjp(forward, backward)
+    return outputs
+
+
+def march_states(field, grid, steps):
+    """States at the samples, one array (samples, lanes) each, and the outputs (samples, observed, lanes)."""
+
+    class Seen:
+        """The field, with its states shown before its outputs."""
+
+        signals, rates, total, shape = field.signals, field.rates, field.total, field.shape
+
+        @staticmethod
+        def outputs(signals, state):
+            return state, field.outputs(signals, state)
+
+    start = field.start()
+    shown, _ = march(Seen, explicit_interval, grid, steps, start, jnp.zeros(field.shape, grid.dtype))
+    return shown

@@ -1,0 +1,258 @@
+"""The vector field of a small circuit with every number a lane array of its own, and its partial derivatives.
+
+The functions of a circuit (rates, start, outputs) are taken apart once, when a program is traced (`expression`).
+What does not change in time is computed before the loop; the partial derivatives are exact, those of JAX, and only
+the ones that are not zero by structure are kept.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxlines.physics.component import DOMAINS
+from jaxlines.simulation.assembly import Location
+from jaxlines.simulation.expression import Graph, Node, boundary, evaluate
+from jaxlines.simulation.lane_signals import LaneSignals, every_signal, tagged, with_numbers
+from jaxlines.simulation.observation import observe
+from jaxlines.simulation.plan import Plan, Values
+from jaxlines.simulation.vector_field import rates, starting_point
+
+
+def _scales_of_leaves(plan: Plan, start) -> list[float]:
+    """Typical size of every number of the potentials and states, in the order of the leaves."""
+    potentials, states = start
+    sizes = [DOMAINS[domain].scale for _, domain in plan.free_nodes]
+    found = [np.asarray(sizes)] if potentials.size else []
+    for kind, block in zip(plan.kinds, states, strict=True):
+        size = {state.name: state.scale for state in kind.states}
+        found += [np.full(block[name].size, size[name]) for name in sorted(block)]
+    return [float(x) for x in np.concatenate(found)]
+
+
+def special_numbers(values: Values, columns: Sequence[Sequence[Location]]) -> tuple[tuple[int, int, float], ...]:
+    """Zeros, ones and infinities among the numbers that are not varied: position of the leaf, index in it, value.
+
+    A program that knows them leaves out what they switch off: a leakage of zero, a rate limit that is none, a
+    coefficient of friction that is not there. Another value of a number that is none of these is the same program.
+    """
+    names, _ = tagged(values, columns)
+    leaves, found = jax.tree.leaves(values), []
+    for name in names:
+        if name[0] == "leaf":
+            value = float(np.ravel(leaves[name[1]])[name[2]])
+            if value in (0.0, 1.0) or np.isinf(value):
+                found.append((name[1], name[2], value))
+    return tuple(found)
+
+
+class LaneField:
+    """Rates, start and outputs of a circuit for many lanes, and the partial derivatives of these.
+
+    Args: plan; values: with abstract or concrete leaves; columns: for each varied number the places that it takes;
+    wanted: names of the outputs; fixed: numbers that the program may rely on (see `special_numbers`).
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        values: Values,
+        columns: Sequence[Sequence[Location]],
+        wanted: tuple[str, ...],
+        fixed: tuple[tuple[int, int, float], ...] = (),
+    ):
+        self.plan, self.wanted, self.columns = plan, wanted, columns
+        self.graph = Graph()
+        self._fixed = {("leaf", position, index): value for position, index, value in fixed}
+        self._dtype = jnp.result_type(*jax.tree.leaves(values))
+        self._names, self.tags = tagged(values, columns)
+        self.signal_names = [("signal", k) for k in range(len(every_signal(self.tags)))]
+        first = len(self._names)
+        held = with_numbers(self.tags, [np.asarray(first + k) for k in range(len(self.signal_names))])
+        self._names += self.signal_names
+        self._held_tags, self._held_structure = jax.tree.flatten(held)
+        start = jax.eval_shape(lambda v: starting_point(plan, v, 0.0), self._abstract(self._held_tags))
+        self._state_leaves, self._state_structure = jax.tree.flatten(start)
+        self.size = sum(leaf.size for leaf in self._state_leaves)
+        self.state_names = [("state", i) for i in range(self.size)]
+        self._jaxprs: dict[str, Any] = {}
+        self.rates = self._trace("rates")
+        self.start = self._trace("start")
+        self.outputs = self._trace("outputs")
+        self.scales = _scales_of_leaves(plan, start)
+
+    def _abstract(self, tags):
+        leaves = [jax.ShapeDtypeStruct(tag.shape, self._dtype) for tag in tags]
+        return jax.tree.unflatten(self._held_structure, leaves)
+
+    def _node(self, name) -> Node:
+        if name in self._fixed:
+            return self.graph.constant(self._fixed[name], self._dtype)
+        return self.graph.input(name, self._dtype, name[0] in ("state", "signal"))
+
+    def _function(self, which: str) -> Callable:
+        """rates, start or outputs as a function of held leaves and state leaves."""
+
+        def call(held_leaves, state_leaves):
+            held = jax.tree.unflatten(self._held_structure, held_leaves)
+            zero = jnp.zeros((), self._dtype)
+            if which == "start":
+                return jax.tree.leaves(starting_point(self.plan, held, zero))
+            state = jax.tree.unflatten(self._state_structure, state_leaves)
+            if which == "rates":
+                return jax.tree.leaves(rates(self.plan, held, zero, *state))
+            return [observe(self.plan, held, self.wanted, zero, *state)]
+
+        return call
+
+    def _arguments(self):
+        """Nodes of the held leaves and of the state leaves."""
+        make = np.vectorize(lambda tag: self._node(self._names[tag]), otypes=[object])
+        held = [make(tag) if tag.size else np.empty(tag.shape, object) for tag in self._held_tags]
+        states, at = [], 0
+        for leaf in self._state_leaves:
+            block = np.empty(leaf.size, dtype=object)
+            block[:] = [self._node(name) for name in self.state_names[at : at + leaf.size]]
+            states.append(block.reshape(leaf.shape))
+            at += leaf.size
+        return held, states
+
+    def _shapes(self):
+        held = [jax.ShapeDtypeStruct(tag.shape, self._dtype) for tag in self._held_tags]
+        return held, [jax.ShapeDtypeStruct(leaf.shape, self._dtype) for leaf in self._state_leaves]
+
+    def _trace(self, which: str) -> list[Node]:
+        """The nodes of a function, one for every number of its result."""
+        held, states = self._arguments()
+        jaxpr = jax.make_jaxpr(self._function(which))(*self._shapes())
+        results = self.graph.outputs(jaxpr, *held, *states)
+        return [node for array in results for node in array.ravel()]
+
+    def partials(self, which: str, names: Sequence) -> list[dict[int, Node]]:
+        """For each number of a result: which of some inputs it depends on, and the derivative in them."""
+        function = self._function(which)
+        shapes = self._shapes()
+        jaxpr = jax.make_jaxpr(lambda p, q, dp, dq: jax.jvp(function, (p, q), (dp, dq))[1])(*shapes, *shapes)
+        held, states = self._arguments()
+        found: list[dict[int, Node]] = []
+        for k, name in enumerate(names):
+            seeds = [self._seed(array, name) for array in (*held, *states)]
+            results = self.graph.outputs(jaxpr, *held, *states, *seeds)
+            nodes = [node for array in results for node in array.ravel()]
+            found = found or [{} for _ in nodes]
+            for row, node in zip(found, nodes, strict=True):
+                if not node.is_constant(0):
+                    row[k] = node
+        return found
+
+    def _seed(self, array: np.ndarray, name) -> np.ndarray:
+        """The tangent of an argument: one where it is the named input."""
+        wanted = self._node(name)
+        flat = [self.graph.constant(float(node is wanted), self._dtype) for node in array.ravel()]
+        seed = np.empty(len(flat), dtype=object)
+        seed[:] = flat
+        return seed.reshape(array.shape)
+
+    def bind(self, values: Values, columns: Sequence, t, partials: bool = False) -> "BoundField":
+        """The field with numbers: those of the circuit, and the columns of the varied ones, (lanes,) each.
+
+        partials: whether partial derivatives will be asked for.
+        """
+        known = {self._node(("column", c)): column for c, column in enumerate(columns)}
+        for position, leaf in enumerate(jax.tree.leaves(values)):
+            for i in range(int(np.prod(np.shape(leaf)))):
+                if ("leaf", position, i) not in self._fixed:
+                    known[self._node(("leaf", position, i))] = jnp.ravel(jnp.asarray(leaf))[i]
+        return BoundField(self, values, columns, known, t, columns[0].shape[-1:], partials)
+
+    def inputs(self) -> list:
+        """Names of what a derivative is taken in, beside the states: columns, then signals."""
+        return [*(("column", c) for c in range(len(self.columns))), *self.signal_names]
+
+    def moving(self, numbers: Sequence, state: Sequence = ()) -> dict[Node, Any]:
+        """Signals and states by their nodes."""
+        found = {self._node(name): value for name, value in zip(self.signal_names, numbers, strict=True)}
+        return found | {self._node(name): value for name, value in zip(self.state_names, state, strict=False)}
+
+
+class BoundField:
+    """A lane field with its numbers, inside a traced program.
+
+    A state is a tuple of arrays (lanes,), in the order of `LaneField.state_names`.
+    """
+
+    def __init__(self, field: LaneField, values: Values, columns, known: dict, t, shape, partials):
+        self.field, self.columns, self.shape = field, columns, shape
+        self._signals = LaneSignals(values, field.tags, len(columns))
+        names = [*field.state_names, *field.inputs()]
+        rows = [field.partials(which, names) if partials else [] for which in ("rates", "outputs")]
+        self.rate_partials, self.output_partials = rows
+        self._start_known = known | field.moving(self.signals(t))
+        nodes = [*field.rates, *field.outputs, *(node for part in rows for row in part for node in row.values())]
+        once = boundary(nodes)
+        self._once = dict(zip(once, evaluate(once, known), strict=True))
+
+    def signals(self, t) -> list:
+        """What the signals are at time t."""
+        return self._signals.numbers(self.columns, t)
+
+    def start(self) -> tuple:
+        """The state at the start."""
+        return tuple(jnp.broadcast_to(y, self.shape) for y in evaluate(self.field.start, self._start_known))
+
+    def _known(self, signals, state) -> dict:
+        return self._once | self.field.moving(signals, state)
+
+    def rates(self, signals, state: tuple) -> tuple:
+        """The rates of a state."""
+        found = evaluate(self.field.rates, self._known(signals, state))
+        return tuple(jnp.broadcast_to(f, self.shape) for f in found)
+
+    def outputs(self, signals, state: tuple):
+        """The wanted outputs in a state, shape (wanted, lanes)."""
+        found = evaluate(self.field.outputs, self._known(signals, state))
+        return jnp.stack([jnp.broadcast_to(f, self.shape) for f in found])
+
+    def rates_and_partials(self, signals, state: tuple) -> tuple[tuple, list[dict[int, Any]]]:
+        """The rates, and for each the derivatives in the states (0..) and in the inputs after them."""
+        return self._with_partials(self.field.rates, self.rate_partials, signals, state)
+
+    def outputs_and_partials(self, signals, state: tuple) -> tuple[tuple, list[dict[int, Any]]]:
+        """The outputs, and for each the derivatives in the states and in the inputs after them."""
+        return self._with_partials(self.field.outputs, self.output_partials, signals, state)
+
+    def start_partials(self) -> list[dict[int, Any]]:
+        """For each state the derivatives of its start in the columns and, after them, in the signals."""
+        rows = self.field.partials("start", self.field.inputs())
+        nodes = [node for row in rows for node in row.values()]
+        found = iter(evaluate(nodes, self._start_known))
+        return [{k: jnp.broadcast_to(next(found), self.shape) for k in row} for row in rows]
+
+    @property
+    def varies_signals(self) -> bool:
+        """Whether a column varies a signal."""
+        return bool(self._signals.columns)
+
+    def pushed(self, t) -> list[dict[int, Any]]:
+        """For each signal its derivatives in the columns."""
+        return self._signals.pushed(self.columns, t)
+
+    def pulled(self, t, cotangents: Sequence) -> list:
+        """Cotangents of the columns from those of the signals."""
+        return self._signals.pulled(self.columns, t, cotangents)
+
+    def _with_partials(self, nodes, rows, signals, state):
+        every = [*nodes, *(node for row in rows for node in row.values())]
+        found = [jnp.broadcast_to(x, self.shape) for x in evaluate(every, self._known(signals, state))]
+        values, rest = tuple(found[: len(nodes)]), iter(found[len(nodes) :])
+        return values, [{k: next(rest) for k in row} for row in rows]
+
+    def total(self, slopes: Sequence):
+        """The sum of a state's rates, each in units of its typical size, for every lane."""
+        terms = [f * (1.0 / scale) for f, scale in zip(slopes, self.field.scales, strict=True)]
+        total = terms[0]
+        for term in terms[1:]:
+            total = total + term
+        return total
