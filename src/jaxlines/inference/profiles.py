@@ -12,6 +12,9 @@ CHI_SQUARED_95 = 3.841458820694124
 """95 % point of chi-squared with one degree of freedom."""
 
 ITERATIONS = 100
+UNSEEN = 1e-10
+"""Singular values of the scaled Jacobian below this part of the largest count as none."""
+
 SETTLED, AT_LIMIT, PARALLEL = 1e-7, 1e-3, 2e-2
 """When a search for an end point stops; how close to the limit its cost, and to parallel the slopes, must be."""
 
@@ -119,11 +122,15 @@ def _free_step(jacobian, residuals, gradient, limit, step, held) -> tuple[np.nda
     if not free.any():
         return new, 0.0
     left, singular, right = np.linalg.svd(jacobian[:, free], full_matrices=False)
-    # A direction that the rows do not see at all would be left by an infinite step: a long one ends at the bounds.
-    strong = np.maximum(singular, 1e-10 * max(singular[0], 1e-300))
-    centre = -(right.T / strong) @ (left.T @ rows)
+    # A direction that the rows do not see is left alone, unless the quantity grows along it: then it is followed by a
+    # long step, which ends at the bounds.
+    seen = singular > UNSEEN * max(singular[0], 1e-300)
+    strong = np.where(seen, singular, UNSEEN * max(singular[0], 1e-300))
+    centre = -(right[seen].T / singular[seen]) @ (left[:, seen].T @ rows)
     spare = 2.0 * (limit - 0.5 * float(np.sum((rows + jacobian[:, free] @ centre) ** 2)))
-    along = (right @ gradient[free]) / strong
+    growth = right @ gradient[free]
+    growth = np.where(seen | (np.abs(growth) > 1e-6 * np.linalg.norm(gradient)), growth, 0.0)
+    along = growth / strong
     length = float(np.linalg.norm(along))
     radius = np.sqrt(max(spare, 0.0))
     outwards = right.T @ (along / strong) / max(length, 1e-300)
@@ -140,8 +147,8 @@ def end_point(
 ) -> EndPoint:
     """How far a quantity goes in one direction while the cost stays within its limit and x within its bounds.
 
-    A sequence of linear steps, each the exact answer for the linearised rows and quantity; a step that does not lower
-    the merit, -sign * quantity + penalty * excess cost, is shortened. On a linear model the first step is exact.
+    A sequence of linear steps, each the exact answer for the linearised rows and quantity; a step that neither lowers
+    the merit, -sign * quantity + penalty * excess cost, nor halves the excess is shortened. On a linear model the first step is exact.
 
     Args: quantity: x -> (value, slopes by x); sign: +1 for the upper end, -1 for the lower.
     Reference: compare Venzon and Moolgavkar, Applied Statistics 37, 1988; Neale and Miller, Behavior Genetics 27, 1997.
@@ -155,7 +162,7 @@ def end_point(
         step, force = _farthest(slopes * scale, rows, sign * gradient * scale, limit, low, high)
         step = step * scale
         predicted = abs(float(gradient @ step))
-        penalty = max(penalty, 2.0 * force)
+        penalty = max(0.5 * penalty, 2.0 * force)
         terms = (sign, penalty, limit)
         trial = _shortened(problem, quantity, x, step, (sign * value, 0.5 * float(rows @ rows)), terms)
         if trial is None:
@@ -183,7 +190,10 @@ def _shortened(problem, quantity, x, step, here, terms):
         rows = problem.residuals(trial)
         cost = 0.5 * float(rows @ rows)
         value, gradient = quantity(trial)
-        if np.isfinite(cost) and np.isfinite(value) and merit(sign * value, cost) < before:
+        if not (np.isfinite(cost) and np.isfinite(value)):
+            continue
+        back = cost - limit < 0.5 * (here[1] - limit) > 0.0  # coming back under the limit counts whatever it costs
+        if back or merit(sign * value, cost) < before:
             return trial, rows, value, gradient
     return None
 
