@@ -132,9 +132,14 @@ def _read_hdf5(path: Path, wanted: Iterable[str] | None) -> Columns:
     h5py = _need("h5py", path)
     found: dict[str, np.ndarray] = {}
     units: dict[str, str] = {}
+    passed_over: list[str] = []
+    needed = None if wanted is None else {name.partition("[")[0] for name in wanted}
 
     def visit(name: str, item) -> None:
         if not isinstance(item, h5py.Dataset) or name.startswith("#"):
+            return
+        if needed is not None and name not in needed:
+            passed_over.append(name)
             return
         before = set(found)
         _flat_arrays(name, item[()], found, "[:,{}]")
@@ -144,7 +149,7 @@ def _read_hdf5(path: Path, wanted: Iterable[str] | None) -> Columns:
 
     with h5py.File(path, "r") as file:
         file.visititems(visit)
-    return Columns(found, units, names=tuple(found))
+    return Columns(found, units, names=(*found, *passed_over))
 
 
 def _read_tdms(path: Path, wanted: Iterable[str] | None) -> Columns:
@@ -153,24 +158,29 @@ def _read_tdms(path: Path, wanted: Iterable[str] | None) -> Columns:
     found: dict[str, np.ndarray] = {}
     units: dict[str, str] = {}
     clocks: dict[str, str] = {}
-    file = nptdms.TdmsFile.read(str(path))
-    for group in file.groups():
-        for channel in group.channels():
-            name = f"{group.name}/{channel.name}"
+    passed_over: list[str] = []
+    needed = None if wanted is None else set(wanted)
+    with nptdms.TdmsFile.open(str(path)) as file:
+        for channel in (channel for group in file.groups() for channel in group.channels()):
+            name, group = f"{channel.group_name}/{channel.name}", channel.group_name
+            clocked = bool(channel.properties.get("wf_increment"))
+            if needed is not None and name not in needed and not (clocked and f"{group}/time" in needed):
+                passed_over.append(name)
+                continue
             values = channel[:]
             if values.size < 2:
                 continue
             found[name] = values
             unit = str(channel.properties.get("unit_string", channel.properties.get("NI_UnitDescription", "")))
             units |= {name: unit} if unit else {}
-            if channel.properties.get("wf_increment"):
+            if clocked:
                 step, offset = channel.properties["wf_increment"], channel.properties.get("wf_start_offset", 0.0)
                 times = offset + step * np.arange(values.size)
-                clock = f"{group.name}/time"
+                clock = f"{group}/time"
                 if clock in found and not np.array_equal(found[clock], times):
                     clock = f"{name}/time"
                 found[clock], units[clock], clocks[name] = times, "s", clock
-    return Columns(found, units, clocks, tuple(found))
+    return Columns(found, units, clocks, (*found, *passed_over))
 
 
 def _read_mdf(path: Path, wanted: Iterable[str] | None) -> Columns:
