@@ -83,11 +83,9 @@ def test_a_checkpoint_of_another_problem_is_refused(tmp_path):
     jl.fit(**problem_of_a_fit(), checkpoint=path)
     content = json.loads(path.read_text())
     assert set(content["stages"]) >= {"start 0", "start 1", "start 2"}
-    for change in (
-        problem_of_a_fit(seed=1),
-        problem_of_a_fit() | {"starts": 2},
-        problem_of_a_fit() | {"loss": "huber"},
-    ):
+    for other in ({}, {"starts": 2}, {"loss": "huber"}):
+        change: dict[str, Any] = problem_of_a_fit(seed=0 if other else 1)
+        change.update(other)
         with pytest.raises(ValueError, match=r"belongs to another fit .*: delete it to begin anew"):
             jl.fit(**change, checkpoint=path)
     path.write_text("{}")
