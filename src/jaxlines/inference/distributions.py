@@ -4,7 +4,6 @@ import abc
 import dataclasses
 import functools
 import itertools
-from typing import Any
 
 import numpy as np
 
@@ -21,22 +20,6 @@ class AbstractDistribution(abc.ABC):
         """F(x), same shape."""
 
 
-class _Scipy(AbstractDistribution):
-    """A distribution that scipy.stats knows; `_frozen` is it."""
-
-    @property
-    @abc.abstractmethod
-    def _frozen(self) -> Any: ...
-
-    def quantile(self, u: np.ndarray) -> np.ndarray:
-        """x at the probabilities u."""
-        return np.asarray(self._frozen.ppf(u), dtype=float)
-
-    def probability(self, x: np.ndarray) -> np.ndarray:
-        """F(x)."""
-        return np.asarray(self._frozen.cdf(x), dtype=float)
-
-
 def _require(right: bool, rule: str, got: str) -> None:
     """Raise ValueError that states a rule and what was received."""
     if not right:
@@ -50,7 +33,7 @@ def _increasing(name: str, *ends: float) -> None:
 
 
 @dataclasses.dataclass(frozen=True)
-class Normal(_Scipy):
+class Normal(AbstractDistribution):
     """Normal distribution with a mean and a standard deviation (both in the unit of the number)."""
 
     mean: float
@@ -60,15 +43,21 @@ class Normal(_Scipy):
         rule = "Normal: mean must be finite and sd positive (is it a variance, or a lower bound?)"
         _require(np.isfinite(self.mean) and np.isfinite(self.sd) and self.sd > 0, rule, f"{self.mean:g}, {self.sd:g}")
 
-    @functools.cached_property
-    def _frozen(self):
-        from scipy import stats
+    def quantile(self, u: np.ndarray) -> np.ndarray:
+        """x at the probabilities u."""
+        from scipy.special import ndtri
 
-        return stats.norm(self.mean, self.sd)
+        return self.mean + self.sd * ndtri(u)
+
+    def probability(self, x: np.ndarray) -> np.ndarray:
+        """F(x)."""
+        from scipy.special import ndtr
+
+        return ndtr((x - self.mean) / self.sd)
 
 
 @dataclasses.dataclass(frozen=True)
-class LogNormal(_Scipy):
+class LogNormal(AbstractDistribution):
     """ln x is normal: x = median exp(spread z), for positive numbers known to a factor.
 
     Args: median, in the unit of the number; spread: standard deviation of ln x [-]; for small ones it is the relative
@@ -91,15 +80,22 @@ class LogNormal(_Scipy):
         _require(0 < low < high and 0 < share < 1, "LogNormal.between: 0 < low < high, 0 < share < 1", f"{low}, {high}")
         return cls(float(np.sqrt(low * high)), float(np.log(high / low) / (2 * ndtri(0.5 + 0.5 * share))))
 
-    @functools.cached_property
-    def _frozen(self):
-        from scipy import stats
+    def quantile(self, u: np.ndarray) -> np.ndarray:
+        """x at the probabilities u."""
+        from scipy.special import ndtri
 
-        return stats.lognorm(self.spread, scale=self.median)
+        return self.median * np.exp(self.spread * ndtri(u))
+
+    def probability(self, x: np.ndarray) -> np.ndarray:
+        """F(x)."""
+        from scipy.special import ndtr
+
+        positive = np.maximum(x, np.finfo(float).tiny)
+        return ndtr(np.log(positive / self.median) / self.spread) * (np.asarray(x) > 0)
 
 
 @dataclasses.dataclass(frozen=True)
-class Uniform(_Scipy):
+class Uniform(AbstractDistribution):
     """Every value between two ends equally likely."""
 
     low: float
@@ -108,15 +104,17 @@ class Uniform(_Scipy):
     def __post_init__(self):
         _increasing("Uniform", self.low, self.high)
 
-    @functools.cached_property
-    def _frozen(self):
-        from scipy import stats
+    def quantile(self, u: np.ndarray) -> np.ndarray:
+        """x at the probabilities u."""
+        return self.low + u * (self.high - self.low)
 
-        return stats.uniform(self.low, self.high - self.low)
+    def probability(self, x: np.ndarray) -> np.ndarray:
+        """F(x)."""
+        return np.clip((x - self.low) / (self.high - self.low), 0.0, 1.0)
 
 
 @dataclasses.dataclass(frozen=True)
-class LogUniform(_Scipy):
+class LogUniform(AbstractDistribution):
     """Every order of magnitude between two positive ends equally likely."""
 
     low: float
@@ -126,15 +124,17 @@ class LogUniform(_Scipy):
         _increasing("LogUniform", self.low, self.high)
         _require(self.low > 0, "LogUniform: the ends must be positive", f"{self.low:g}")
 
-    @functools.cached_property
-    def _frozen(self):
-        from scipy import stats
+    def quantile(self, u: np.ndarray) -> np.ndarray:
+        """x at the probabilities u."""
+        return self.low * np.exp(u * np.log(self.high / self.low))
 
-        return stats.loguniform(self.low, self.high)
+    def probability(self, x: np.ndarray) -> np.ndarray:
+        """F(x)."""
+        return np.log(np.clip(x, self.low, self.high) / self.low) / np.log(self.high / self.low)
 
 
 @dataclasses.dataclass(frozen=True)
-class Triangular(_Scipy):
+class Triangular(AbstractDistribution):
     """Density rising from `low` to `mode` and falling to `high`: two limits and a best guess."""
 
     low: float
@@ -144,11 +144,20 @@ class Triangular(_Scipy):
     def __post_init__(self):
         _increasing("Triangular", self.low, self.mode, self.high)
 
-    @functools.cached_property
-    def _frozen(self):
-        from scipy import stats
+    def quantile(self, u: np.ndarray) -> np.ndarray:
+        """x at the probabilities u."""
+        rising, falling = self.mode - self.low, self.high - self.mode
+        width = self.high - self.low
+        below = self.low + np.sqrt(u * width * rising)
+        return np.where(u * width <= rising, below, self.high - np.sqrt((1.0 - u) * width * falling))
 
-        return stats.triang((self.mode - self.low) / (self.high - self.low), self.low, self.high - self.low)
+    def probability(self, x: np.ndarray) -> np.ndarray:
+        """F(x)."""
+        rising, falling, width = self.mode - self.low, self.high - self.mode, self.high - self.low
+        x = np.clip(x, self.low, self.high)
+        below = (x - self.low) ** 2 / (width * rising) if rising > 0 else np.zeros_like(x)
+        above = 1.0 - (self.high - x) ** 2 / (width * falling) if falling > 0 else np.ones_like(x)
+        return np.where(x <= self.mode, below, above)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -190,7 +199,9 @@ class Discrete(AbstractDistribution):
     def __post_init__(self):
         object.__setattr__(self, "values", tuple(float(v) for v in self.values))
         _require(
-            bool(self.values) and bool(np.isfinite(self.values).all()), "Discrete: values must be finite", f"{self.values}"
+            bool(self.values) and bool(np.isfinite(self.values).all()),
+            "Discrete: values must be finite",
+            f"{self.values}",
         )
         if self.weights is not None:
             object.__setattr__(self, "weights", tuple(float(w) for w in self.weights))

@@ -152,9 +152,16 @@ class Accumulator:
         return Quantile(q, float(self.sketch.quantile(q)[0]), (interval[0], interval[1]), (bounds[0], bounds[1]))
 
 
+def _limit(values: np.ndarray) -> float:
+    """The WORST-th smallest value, or infinity when there are not so many."""
+    return np.partition(values, WORST - 1)[WORST - 1] if values.size > WORST else np.inf
+
+
 def _extreme(known: list, index: np.ndarray, values: np.ndarray, sign: float) -> list:
     """The WORST smallest of sign * value, of those known and new ones; equal ones in the order of their indices."""
-    few = np.argsort(sign * values, kind="stable")[:WORST]
+    ordered = sign * values
+    limit = _limit(ordered)
+    few = [*np.flatnonzero(ordered < limit), *np.flatnonzero(ordered == limit)[:WORST]]
     found = [*known, *((int(index[i]), float(values[i])) for i in few)]
     return sorted(found, key=lambda item: (sign * item[1], item[0]))[:WORST]
 

@@ -21,8 +21,6 @@ from jaxlines.inference.sweep_run import Progress, prepare_store, run_chunks
 from jaxlines.inference.sweep_store import ChangedPlan, SweepStore, stores_in, write_new
 from jaxlines.inference.sweep_workers import run_lanes
 
-CHUNK = 2048
-
 
 def run_sweep(
     plan: SweepPlan,
@@ -61,7 +59,7 @@ def run_sweep(
         raise ValueError(f"chunk must be 1 or more lanes, got {chunk}")
     _check_shard(shard)
     options = {"engine": where, "workers": workers, "shard": shard, "progress": progress}
-    chunk = chunk or min(CHUNK, max(64, 1 << (count - 1).bit_length()))
+    chunk = chunk or chosen_chunk(count, plan.model.lanes_at_once())
     if store is not None:
         opened = _opened(Path(store), plan, resume, allow_changes, chunk)
         opened.ask(thresholds or {}, quantiles, title)
@@ -93,6 +91,11 @@ def _run(store: SweepStore, plan: SweepPlan, count: int, linear: bool, options) 
     else:
         found = collect(store)
     return SweepResult(store.folder, store.content, dataclasses.replace(found, notes=(*notes, *found.notes)))
+
+
+def chosen_chunk(count: int, most: int) -> int:
+    """Lanes of a chunk, a power of two: a sixteenth of all, 1024 at least (fewer for a short sweep), `most` at most."""
+    return min(most, max(1 << (count // 16).bit_length(), min(1024, max(64, 1 << (count - 1).bit_length()))))
 
 
 def _check_shard(shard: tuple[int, int]) -> None:
@@ -153,7 +156,7 @@ def _store_linear(store: SweepStore, plan: SweepPlan, program: Any) -> None:
         store.log({"event": "note", "note": "no linear propagation: a lane around the means failed"})
         return
     exact: dict[str, np.ndarray] = {}
-    if hasattr(program, "derivatives"):
+    if getattr(program, "derivatives", None) is not None:
         gradients = program.derivatives(plan.varied(lanes[:1]))
         for reduction, of in gradients.items():
             driven = [plan.paths[name] for name in plan.uncertain.names]

@@ -50,6 +50,10 @@ class AbstractModel(abc.ABC):
         `description` is what its numbers depend on (engine, steps, precision) and what it ran on (versions). With
         `fixed`, the description of an earlier program, one that gives the same numbers."""
 
+    def lanes_at_once(self) -> int:
+        """How many lanes keep a machine busy: the largest chunk that is chosen by default."""
+        return 2048
+
 
 def describe(value: Any) -> Any:
     """A value as JSON that is equal for equal values: objects by type and fields, long arrays by their hash.

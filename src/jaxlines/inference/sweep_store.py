@@ -275,8 +275,14 @@ class SweepStore:
         return events, torn
 
 
-PARQUET: dict[str, Any] = {"write_page_checksum": True, "compression": "zstd", "row_group_size": ROW_GROUP}
-"""How tables are written; sums of their pages show a flipped bit when they are read."""
+PARQUET: dict[str, Any] = {
+    "write_page_checksum": True,
+    "compression": "zstd",
+    "use_dictionary": False,
+    "row_group_size": ROW_GROUP,
+}
+"""How tables are written: sums of their pages show a flipped bit when they are read; numbers of which hardly two are
+equal want no dictionary."""
 
 
 def _savez(path: Path, arrays: dict[str, np.ndarray]) -> None:

@@ -14,6 +14,9 @@ from jaxlines.inference.samplers import Sobol
 from jaxlines.inference.sketch import COARSE, Moments, QuantileSketch
 from jaxlines.inference.sweep_plan import PILOT, SweepPlan
 
+_SMALL = 1e-5
+"""Step of a normal score for the slope of a quantile function."""
+
 
 class Result(NamedTuple):
     """A computed piece: columns of the table, arrays of the series, seconds, and where."""
@@ -45,7 +48,8 @@ def prepare(plan: SweepPlan, program: Any) -> dict:
 
 def _scale(values: np.ndarray) -> dict[str, list[float]]:
     """Centre and unit of a sketch for values, shape (lanes, rows): rounded, for nothing hangs on their last digits."""
-    values = values.astype(float)
+    known = np.isfinite(values).all(axis=1)  # what a reduction looks for may not be there in a good lane
+    values = values[known].astype(float) if known.any() else np.zeros((1, values.shape[1]))
     centre, spread = np.median(values, axis=0), values.std(axis=0)
     size = np.maximum(np.abs(centre), np.abs(values).max(initial=0.0))
     least = np.maximum(1e-3 * spread.max(initial=0.0), 1e-9 * np.where(size > 0, size, 1.0))
@@ -164,21 +168,18 @@ def _derivatives(plan: SweepPlan, program: Any, start: int, stop: int, lanes: in
     scores = ndtri(plan.sampler.uniforms(start, stop, plan.uncertain.dims))
     exact = getattr(program, "derivatives", None)
     if exact is None:
-        scales = np.ones(scores.shape[1])
         found = differences(
-            lambda z: run_lanes(plan, program, plan.uncertain.values(ndtr(z)), lanes).reductions, scores, scales
+            lambda z: run_lanes(plan, program, plan.uncertain.values(ndtr(z)), lanes).reductions,
+            scores,
+            np.ones(scores.shape[1]),
         )
     else:
-        small = 1e-5
-        samples = plan.uncertain.values(ndtr(scores))
-        slopes = (plan.uncertain.values(ndtr(scores + small)) - plan.uncertain.values(ndtr(scores - small))) / (
-            2 * small
-        )
-        gradients = exact(plan.varied(samples))
-        paths = [plan.paths[name] for name in plan.uncertain.names]
+        up, down = (plan.uncertain.values(ndtr(scores + step)) for step in (_SMALL, -_SMALL))
+        slopes = (up - down) / (2 * _SMALL)
+        driven = [plan.paths[name] for name in plan.uncertain.names]
         found = {
-            name: np.stack([sum(np.asarray(of[path]) for path in driven) for driven in paths], axis=1) * slopes
-            for name, of in gradients.items()
+            name: np.stack([sum(np.asarray(of[path]) for path in paths) for paths in driven], axis=1) * slopes
+            for name, of in exact(plan.varied(plan.uncertain.values(ndtr(scores)))).items()
         }
     names = plan.uncertain.names
     return {derivative_column(r, name): d[:, j] for r, d in found.items() for j, name in enumerate(names)}
@@ -228,13 +229,13 @@ def make_engine(name: str, workers: int = 1, timeout: float = 30.0) -> Engine:
 
 
 def _local(workers: int) -> Engine:
-    """One thread, so that writing and computing overlap, or some processes."""
+    """Two threads, so that sampling, computing (on all cores) and writing overlap, or some processes."""
     import multiprocessing
 
     executor: Executor
     if workers == 1:
-        executor = ThreadPoolExecutor(1, "sweep")
-        return Engine(executor, 2, lambda: executor.shutdown(cancel_futures=True))
+        executor = ThreadPoolExecutor(2, "sweep")
+        return Engine(executor, 4, lambda: executor.shutdown(cancel_futures=True))
     executor = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"))
     return Engine(executor, 2 * workers, lambda: executor.shutdown(cancel_futures=True))
 
