@@ -9,17 +9,17 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxlines.edge.display import readable, readable_unit
-from jaxlines.edge.study import MEASURED, Study
+from jaxlines.edge.study import Study
+from jaxlines.inference.fit_setup import Numerics, make_setup, named_recordings
+from jaxlines.inference.joint import JointProblem
+from jaxlines.inference.loss import Loss
+from jaxlines.inference.parameter_checks import number_metadata
 from jaxlines.inference.parameters import Free
-from jaxlines.inference.problem import Problem, make_problem
 from jaxlines.inference.recording import Recording
 from jaxlines.inference.uncertainty import covariance, describe_correlations, describe_open_directions
 from jaxlines.simulation.integration import make_method
 
 GOOD, NOTE, DOUBT, STOP = "good", "note", "doubt", "stop"
-NOISE_SHARE = 0.01
-"""Assumed noise of a channel over its range, where none is given."""
-
 RANK_LIMIT = 1e-8
 """Scaled singular value below which a direction is not identifiable at all, whatever the noise."""
 
@@ -40,39 +40,28 @@ class Finding(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class _Local:
-    """A study near a point. Fields: problems, one a recording; scale: noise of every channel of each."""
+    """What a fit of a study would minimise, without the rows of priors. Fields: problem; rows: those of recordings."""
 
-    problems: tuple[Problem, ...]
-    scales: tuple[np.ndarray, ...]
+    problem: JointProblem
+    rows: np.ndarray
 
     @property
     def free(self) -> tuple[Free, ...]:
-        """The free parameters."""
-        return self.problems[0].free
+        """The free parameters, local ones once a recording."""
+        return self.problem.free
 
     @property
     def widths(self) -> np.ndarray:
         """Widths of the bounds in search coordinates."""
-        return np.array([high - low for low, high in (f.coordinate_bounds() for f in self.free)])
-
-    def values(self, coordinates) -> np.ndarray:
-        """Values in SI at search coordinates."""
-        return np.array([float(f.to_value(c)) for f, c in zip(self.free, coordinates, strict=True)])
+        return self.problem.upper - self.problem.lower
 
     def predictions(self, coordinates) -> np.ndarray:
-        """Simulated samples over their noise, shape (rows,)."""
-        values = self.values(coordinates)
-        pairs = zip(self.problems, self.scales, strict=True)
-        return np.concatenate([(p.predict(values) / s)[p.used] for p, s in pairs])
+        """Simulated minus measured samples over their noise, shape (rows,)."""
+        return self.problem.residuals(coordinates)[self.rows]
 
     def jacobian(self, coordinates) -> np.ndarray:
-        """Its slopes by search coordinates, shape (rows, parameters); exact."""
-        values, rows = self.values(coordinates), []
-        steps = np.array([float(f.slope(v)) for f, v in zip(self.free, values, strict=True)])
-        for problem, scale in zip(self.problems, self.scales, strict=True):
-            slopes = problem.sensitivities(values)[1][..., : len(self.free)] * steps
-            rows.append((slopes / scale[:, None])[problem.used])
-        return np.concatenate(rows)
+        """Their slopes by search coordinates, shape (rows, parameters); exact."""
+        return self.problem.jacobian(coordinates)[self.rows]
 
 
 def _recordings(study: Study) -> list[Recording]:
@@ -81,30 +70,14 @@ def _recordings(study: Study) -> list[Recording]:
     return list(found)
 
 
-def _initial(study: Study, recording: Recording) -> dict:
-    """Start values in numbers: those of the study, and the first usable sample where they are measured."""
-    given = study.initial if isinstance(study.initial, dict) else {}
-    start = {name: value for name, value in given.items() if value != MEASURED}
-    for name in study.names.initial:
-        if name not in start and name in recording.channels and recording.mask[name].any():
-            start[name] = float(recording.channels[name][np.argmax(recording.mask[name])])
-    return start
-
-
 def _local(study: Study) -> _Local:
-    """The problems of a study, one for each recording, and the noise of their channels."""
-    numerics = dict(study.numerics)
-    method = make_method(numerics.get("solver"), "forward", numerics["max_steps"])
-    problems, scales = [], []
-    for recording in _recordings(study):
-        arguments = (study.free, (), _initial(study, recording), method, numerics["tolerance"], numerics["precision"])
-        problem = make_problem(study.circuit, recording, *arguments)
-        spans = [np.ptp(recording.channels[name][recording.mask[name]]) for name in problem.wanted]
-        given = [study.noise.get(name) for name in problem.wanted]
-        guesses = [g if isinstance(g, float) else NOISE_SHARE * s or 1.0 for g, s in zip(given, spans, strict=True)]
-        problems.append(problem)
-        scales.append(np.array(guesses, dtype=float))
-    return _Local(tuple(problems), tuple(scales))
+    """What a fit of a study would minimise, its noise that of the study or 1 % of the range of a channel."""
+    options = dict(study.numerics)
+    method = make_method(options.get("solver"), "forward", options["max_steps"])
+    numerics = Numerics(method, options["tolerance"], options["precision"], "linear")
+    given = (study.free, study.known, dict(study.noise), study.initial)
+    setup = make_setup(study.circuit, named_recordings(_recordings(study)), *given, Loss("gauss", None), {}, numerics)
+    return _Local(setup.problem, setup.problem.recording >= 0)
 
 
 def _check_text(study: Study) -> list[Finding]:
@@ -153,9 +126,7 @@ def _worth_of(local: _Local, jacobian: np.ndarray) -> list[str]:
 
 def _unit(local: _Local, parameter: Free) -> str:
     """The SI unit of a parameter."""
-    from jaxlines.inference.problem import number_metadata
-
-    return number_metadata(local.problems[0].circuit, parameter.paths[0]).get("unit", "1")
+    return number_metadata(local.problem.trials[0].circuit, parameter.paths[0]).get("unit", "1")
 
 
 def _identifiability(local: _Local, jacobian: np.ndarray, points: int, seed: int) -> list[Finding]:
@@ -163,12 +134,11 @@ def _identifiability(local: _Local, jacobian: np.ndarray, points: int, seed: int
     from scipy.stats import qmc
 
     labels, widths = [f.label for f in local.free], local.widths
-    lows = np.array([f.coordinate_bounds()[0] for f in local.free])
     # Away from the very edges, where models degenerate (no air, no leak).
     samples = qmc.LatinHypercube(len(labels), rng=np.random.default_rng(seed)).random(points)
     jacobians = [jacobian]
     for sample in samples:
-        found = local.jacobian(lows + widths * (0.1 + 0.8 * sample))
+        found = local.jacobian(local.problem.lower + widths * (0.1 + 0.8 * sample))
         if np.all(np.isfinite(found)):
             jacobians.append(found)
     spectra = np.array([np.linalg.svd(j * widths, compute_uv=False) for j in jacobians])
@@ -245,14 +215,14 @@ def _check_fit(study: Study, points: int, seed: int, say: Say) -> list[Finding]:
     local = _local(study)
     inner = 1e-3 * local.widths
     start = np.array([np.clip(f.start_coordinate(), *f.coordinate_bounds()) for f in local.free])
-    lows, highs = np.array([f.coordinate_bounds() for f in local.free]).T
+    lows, highs = local.problem.bounds
     start = np.clip(start, lows + 2.0 * inner, highs - 2.0 * inner)  # room for differences
     say("compiling the sensitivities", 0.4)
     began = time.perf_counter()
     jacobian = local.jacobian(start)
     compiling = time.perf_counter() - began
     if not np.all(np.isfinite(jacobian)):
-        reason = local.problems[0].why_it_fails(local.values(start))
+        reason = local.problem.why_it_fails(local.problem.to_values(start))
         return [Finding("start", STOP, f"the simulation fails where the search would start: {reason}")]
     began = time.perf_counter()
     local.jacobian(start)
