@@ -20,6 +20,7 @@ ROOT = Path(__file__).parents[1]
 SITE = ROOT / "docs" / "site"
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 HEAVY = {
+    "how-to/priors.md",
     "first-fit.md",
     *(f"how-to/{name}.md" for name in ("check", "several-recordings", "own-objective", "own-component")),
 }
