@@ -10,7 +10,10 @@ from studies import write_study
 from jaxlines import FlowSource, Line, Pipe, PressureSensor, PressureSource, Sine, Step, Vessel
 from jaxlines.edge.building import StudyError, _public_classes
 from jaxlines.edge.study import load_study
+from jaxlines.inference.distributions import Normal, Truncated
+from jaxlines.inference.noise import Noise
 from jaxlines.inference.parameters import Free, Known
+from jaxlines.inference.priors import Prior
 from jaxlines.physics.component import AbstractComponent
 from jaxlines.physics.containers import AbstractContainer
 from jaxlines.physics.fields import AbstractSignal, family_of
@@ -71,6 +74,79 @@ def test_free_and_known(study):
 )
 def test_search_starts_at_the_numbers_of_the_file_where_they_lie_inside_the_bounds(tmp_path, change, starts):
     assert tuple(f.start for f in load_study(write_study(tmp_path, change)).free) == starts
+
+
+FREE_MODULUS = 'path = "fluid.bulk_modulus"\n'
+
+
+def test_several_recordings_with_conditions(tmp_path):
+    file = 'file = "line.csv"'
+    study = load_study(_with_runs(tmp_path, file))
+    assert [r.name for r in study.recordings] == ["cold", "warm"] and study.recording is study.recordings[0]
+    assert study.recordings[1].conditions["line.parts.1.volume"] == pytest.approx(2e-4)
+    assert study.recordings[0].conditions["fluid.bulk_modulus"] == pytest.approx(1.4e9)
+    files = load_study(write_study(tmp_path, (file, 'files = ["line.csv", "more.csv"]')))
+    assert [r.name for r in files.recordings] == ["line.csv", "more.csv"]
+
+
+def _with_runs(tmp_path, file: str):
+    """The study with a table of conditions of two recordings."""
+    path = write_study(tmp_path, (file, 'conditions = "runs.csv"'))
+    (tmp_path / "more.csv").write_text((tmp_path / "line.csv").read_text())
+    rows = "name,file,line.parts.1.volume [L],fluid.bulk_modulus [GPa]\ncold,line.csv,0.5,1.4\nwarm,more.csv,0.2,\n"
+    (tmp_path / "runs.csv").write_text(rows)
+    return path
+
+
+def test_priors_ratios_local_parameters_and_losses(tmp_path):
+    prior = 'prior = { normal = { mean = "1.4 GPa", sd = "0.1 GPa" }, low = "1 GPa" }\nlocal = true\nratios = [1]\n'
+    options = '[fit]\nloss = "student"\nloss_scale = 3.0\nsampling = "latin"\nsteady = true\n'
+    inputs = '[fit.input_noise]\nflow = { white = "0.1 L/min", gain = "0.5 %" }\n'
+    noise = (
+        'noise = { "A.pressure" = "0.1 bar" }',
+        'noise."A.pressure" = { absolute = "0.1 bar", relative = "estimated" }',
+    )
+    changes = (
+        (FREE_MODULUS, FREE_MODULUS + prior),
+        ("[fit]\n", options),
+        ("[simulate]\n", inputs + "[simulate]\n"),
+        noise,
+    )
+    study = load_study(write_study(tmp_path, *changes))
+    free = study.free[0]
+    assert free.prior == Prior(Truncated(Normal(1.4e9, 1e8), low=1e9))
+    assert free.bounds == (1e9, 2.5e9) and free.local and free.ratios == (1.0,)
+    noise = study.noise["A.pressure"]
+    assert isinstance(noise, Noise) and noise.relative is None and noise.absolute == pytest.approx(1e4)
+    assert study.steady
+    options = study.fit_options
+    assert (options["loss"], options["loss_scale"], options["sampling"]) == ("student", 3.0, "latin")
+    assert options["input_noise"]["flow"].white == pytest.approx(0.1 / 6e4)
+    assert options["input_noise"]["flow"].gain == pytest.approx(0.005)
+
+
+def test_delay_and_offset_of_a_recorded_input_are_free(tmp_path):
+    bounds = (
+        'path = "initial.A.pressure"\nbounds = ["1 bar_a", "5 bar_a"]',
+        'path = "flow.delay"\nbounds = ["0 s", "50 ms"]',
+    )
+    assert load_study(write_study(tmp_path, bounds)).free[1] == Free("flow.delay", (0.0, 0.05))
+    offset = (bounds[0], 'path = "flow.offset"\nbounds = ["-1 L/min", "1 L/min"]')
+    assert load_study(write_study(tmp_path, offset)).free[1].bounds == pytest.approx((-1 / 6e4, 1 / 6e4))
+
+
+@pytest.mark.slow
+def test_a_study_of_two_recordings_fits_them_together(tmp_path):
+    changes = (
+        ('file = "line.csv"', 'files = ["line.csv", "more.csv"]'),
+        ('path = "initial.A.pressure"', 'path = "initial.A.pressure"\nlocal = true'),
+    )
+    path = write_study(tmp_path, *changes)
+    (tmp_path / "more.csv").write_text((tmp_path / "line.csv").read_text())
+    fit = load_study(path).fit(checkpoint=tmp_path / "fit.json")
+    assert list(fit.channels) == ["A.pressure [line.csv]", "A.pressure [more.csv]"]
+    one, two = (fit.parameters[f"initial.A.pressure [{name}]"].value for name in ("line.csv", "more.csv"))
+    assert one == pytest.approx(two, rel=1e-6) and (tmp_path / "fit.json").is_file()
 
 
 def test_window_of_the_recording(tmp_path):
@@ -180,6 +256,13 @@ MISTAKES = [
     (('["1 bar_a", "5 bar_a"]', '["1 bar", "5 bar"]'), "fit.free.1.bounds: 'bar' does not say from where it counts"),
     (('start = "2.2 GPa"', 'start = "22 GPa"'), "fit.free.0 (numbers in Pa): fluid.bulk_modulus: start 2.2e+10 is out"),
     (('transform = "log"', 'transform = "ln"'), "fit.free.0.transform: input should be 'identity', 'log' or 'logit'"),
+    (('file = "line.csv"', 'files = ["line.csv"]\nconditions = "no.csv"'), "recording.conditions: "),
+    (('file = "line.csv"', 'file = "line.csv"\nfiles = ["a.csv"]'), "recording: give `file` or `files`, not both"),
+    ((FREE_MODULUS, FREE_MODULUS + "prior = { gauss = {} }\n"), "fit.free.0.prior: expected one of normal, log_normal"),
+    ((FREE_MODULUS, FREE_MODULUS + "prior = { normal = { mean = 3 } }\n"), ".prior.normal: it needs mean and sd, got mean"),
+    ((FREE_MODULUS, FREE_MODULUS + "ratios = [1, 2]\n"), "ratios must be one finite number other than 0 for each of"),
+    (("[fit]\n", '[fit]\nloss = "hubert"\n'), "fit.loss: input should be 'gauss', 'huber' or 'student'"),
+    (("[fit]\n", '[fit]\ninput_noise = { flo = "1 L/min" }\n'), "fit.input_noise: no input is called 'flo'"),
     (('path = "fluid.bulk_modulus"', 'path = ["fluid.bulk_modulus", "fluid.density"]'), "have different units"),
     (('sd = "0.05 m"', 'sd = "-5 cm"'), "fit.known.0: line.parts.0.length: the standard uncertainty must be positive"),
     (("[fit]\n", "[fit]\nstart = 3\n"), "fit: unknown key 'start', did you mean 'starts'?"),

@@ -111,7 +111,8 @@ def read_measurements(path, *, atmospheric_pressure: float = ATMOSPHERE) -> list
     """Read a long table of measurements: recording, channel, unit, time [s], value, perhaps noise (standard deviation).
 
     A channel that has no row at a time at which another has one misses a sample there. Noise is in the unit of the
-    value; gauge pressures become absolute, so that what a gauge sensor shows stands as a difference, "bar". Raises: FileNotFoundError; ValueError that names file, row and remedy.
+    value; gauge pressures become absolute, so that what a gauge sensor shows stands as a difference, "bar". Raises:
+    FileNotFoundError; ValueError that names file, row and remedy.
     """
     path = Path(path)
     table = _read_table(path, _MEASUREMENTS)

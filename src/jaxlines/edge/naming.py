@@ -16,6 +16,9 @@ from jaxlines.simulation.precision import computing_in
 from jaxlines.simulation.segments import FEWEST, undecided_lines, with_segments
 from jaxlines.simulation.signals import Constant
 
+OF_RECORDED = ("gain", "offset", "delay")
+"""Numbers of a recorded input that a fit can free."""
+
 
 class Names(NamedTuple):
     """Outputs, inputs and initial values: name -> metadata; observed: outputs that every simulation keeps.
@@ -51,7 +54,7 @@ def names_of(circuit: Circuit) -> Names:
         settled = with_segments(circuit, dict.fromkeys(undecided_lines(circuit), FEWEST))
         plan, values = compile_circuit(settled, None, {name: Constant(np.asarray(0.0)) for name in inputs})
         known, sensors = quantities(plan), sensor_units(circuit, plan)
-        numbers = tuple(number_locations(plan, values))
+        numbers = (*number_locations(plan, values), *(f"{name}.{word}" for name in inputs for word in OF_RECORDED))
     units = {name: q.unit for name, q in known.items()} | sensors
     outputs = {name: {"unit": unit, "level": unit == "Pa"} for name, unit in units.items()}
     observed = shown_by_default(plan)
@@ -74,6 +77,9 @@ def path_metadata(circuit: Circuit, names: Names, path: str, where: str) -> dict
         if source is not None:
             raise StudyError(f"{where}: {name!r} is given by {source[0]!r}, so that it has no initial value")
         return look_up(name, names.initial, where, "initial value")
+    owner, _, word = path.partition(".")
+    if owner in names.inputs and owner not in circuit.components and word in OF_RECORDED:
+        return {"gain": {"unit": "1"}, "delay": {"unit": "s"}}.get(word, {**names.inputs[owner], "level": False})
     with at(where):
         full = resolve(path, circuit.paths())
     metadata = field_metadata(circuit, full)

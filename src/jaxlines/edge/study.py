@@ -9,7 +9,13 @@ from typing import Any
 import numpy as np
 
 from jaxlines.edge.building import Builder, StudyError, build_circuit
-from jaxlines.edge.fit_tables import check_fit, study_noise, study_parameters, study_recording
+from jaxlines.edge.fit_tables import (
+    check_fit,
+    study_fit_options,
+    study_noise,
+    study_parameters,
+    study_recordings,
+)
 from jaxlines.edge.naming import Names, at, look_up, names_of
 from jaxlines.edge.tables import NumericsTable, SimulateTable, check_layout
 from jaxlines.inference.fit import fit
@@ -30,9 +36,10 @@ MEASURED = "measured"
 class Study:
     """A study, read and checked; all numbers in SI.
 
-    Fields: title; source: where it was read from; circuit; initial: name -> value, or "measured"; recording, or
-    None; free and known parameters; noise: standard deviations of channels; fit_options, numerics: further
-    arguments of `fit` and `simulate`; times, inputs and outputs of [simulate]; names of the circuit.
+    Fields: title; source: where it was read from; circuit; initial: name -> value, or "measured"; recording: the
+    first one, or None; recordings: all of them; free and known parameters; noise: of channels, as `fit` takes it;
+    steady: whether a fit starts in the steady state; fit_options, numerics: further arguments of `fit` and `simulate`;
+    times, inputs and outputs of [simulate]; names of the circuit.
     """
 
     title: str
@@ -43,27 +50,30 @@ class Study:
     recording: Recording | None = None
     free: tuple[Free, ...] = ()
     known: tuple[Known, ...] = ()
-    noise: dict[str, float] = dataclasses.field(default_factory=dict)
+    noise: dict[str, Any] = dataclasses.field(default_factory=dict)
     fit_options: dict[str, Any] = dataclasses.field(default_factory=dict)
     numerics: dict[str, Any] = dataclasses.field(default_factory=dict)
     times: np.ndarray | None = None
     inputs: dict[str, Any] = dataclasses.field(default_factory=dict)
     outputs: tuple[str, ...] = ()
+    recordings: tuple[Recording, ...] = ()
+    steady: bool = False
 
-    def fit(self, progress=None) -> Fit:
-        """Fit the free parameters to the recording. Raises: StudyError without [recording] or [fit]; as `fit`."""
+    def fit(self, progress=None, checkpoint=None) -> Fit:
+        """Fit the free parameters to the recordings. Raises: StudyError without [recording] or [fit]; as `fit`."""
         if self.recording is None:
             raise StudyError(f"{self.source}: there is nothing to fit to: add a table [recording]")
         if not self.free:
             raise StudyError(f"{self.source}: nothing is free: add [[fit.free]] with path and bounds")
         return fit(
             self.circuit,
-            self.recording,
+            self.recordings if len(self.recordings) > 1 else self.recording,
             free=list(self.free),
             known=list(self.known),
             noise=self.noise or None,
-            initial=self.initial,
+            initial="steady" if self.steady else self.initial,
             progress=progress,
+            checkpoint=checkpoint,
             **self.fit_options,
             **self.numerics,
         )
@@ -152,13 +162,16 @@ def _build(content: dict, folder: Path, source: str) -> Study:
         names = names_of(circuit)
     recording, found = None, {}
     if layout.recording is not None:
-        recording = study_recording(layout.recording, folder, circuit, names, builder)
+        found["recordings"] = study_recordings(layout.recording, folder, circuit, names, builder)
+        recording = found["recordings"][0]
         found["noise"] = study_noise(layout.recording.noise, names, builder)
     initial = _initial(layout.initial, names, recording, builder)
     if layout.fit is not None:
         found["free"], found["known"] = study_parameters(layout.fit, circuit, names, initial, builder)
-        found["fit_options"] = layout.fit.model_dump(include={"derived", "starts", "seed"})
-        check_fit(circuit, recording, names, layout.fit.derived)
+        found["fit_options"] = study_fit_options(layout.fit, names, builder)
+        found["steady"] = layout.fit.steady
+        for one in found.get("recordings", (None,)):
+            check_fit(circuit, one, names, layout.fit.derived)
     if layout.simulate is not None:
         found |= _simulation(layout.simulate, names, builder)
     found |= {"initial": initial, "numerics": _numerics(layout.numerics)}

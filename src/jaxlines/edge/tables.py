@@ -34,9 +34,14 @@ class Table(BaseModel):
 
 
 class RecordingTable(Table):
-    """[recording]: the file, its columns, standard deviations of the noise, and the window of time to take."""
+    """[recording]: the file or files, their columns, the noise, the window of time, and the conditions of each."""
 
-    file: str
+    file: str = ""
+    files: list[str] = Field(default=[], description="several recordings, fitted together, in place of `file`")
+    conditions: str = Field(
+        default="",
+        description="a table with one row a recording: name, perhaps file, and numbers such as `line.length [m]`",
+    )
     time: str | list[str]
     channels: Annotated[dict[str, str | list[str]], BeforeValidator(_flat)]
     noise: Annotated[dict[str, Number], BeforeValidator(_flat)] = {}
@@ -51,6 +56,15 @@ class FreeTable(Table):
     start: Number | None = None
     transform: Literal["identity", "log", "logit"] = "identity"
     name: str = ""
+    ratios: list[float] | None = Field(
+        default=None, description="with several paths: the number at each is the value times its ratio"
+    )
+    local: bool = Field(default=False, description="one value for each recording instead of one for all")
+    prior: dict[str, Any] = Field(
+        default={},
+        description="what is known beforehand: { normal = { mean, sd } }, { log_normal = { median, spread } } or "
+        "{ uniform = { low, high } }; low and high beside a normal one truncate it",
+    )
 
 
 class KnownTable(Table):
@@ -68,6 +82,18 @@ class FitTable(Table):
     derived: list[str] = []
     starts: Annotated[int, Field(ge=1)] = 1
     seed: Annotated[int, Field(ge=0)] = 0
+    sampling: Literal["sobol", "latin"] = Field(default="sobol", description="how these points are spread")
+    loss: Literal["gauss", "huber", "student"] = Field(
+        default="gauss", description='what residuals cost: "huber" and "student" bear outliers'
+    )
+    loss_scale: float | None = Field(
+        default=None, gt=0, description="where huber bends (standard deviations), degrees of freedom of student"
+    )
+    steady: bool = Field(default=False, description="start every recording in the steady state of its first inputs")
+    input_noise: Annotated[dict[str, Number], BeforeValidator(_flat)] = Field(
+        default={},
+        description="uncertainty of recorded inputs: standard deviation of samples, or { white, gain, offset }",
+    )
 
 
 class SimulateTable(Table):

@@ -143,6 +143,8 @@ class Problem:
                 number = float(value) * ratio
                 if owner == "initial":
                     initial[rest] = number
+                elif owner in self.circuit.components:
+                    in_circuit[path] = number
                 elif owner in self.inputs and rest in INPUT_NUMBERS:
                     moved[owner][INPUT_NUMBERS.index(rest)] = number
                 elif owner in self.inputs:
