@@ -72,11 +72,11 @@ def numbers_of_lane(program: LaneProgram, values: Values, numbers) -> Values:
     return set_numbers(values, locations, repeated)
 
 
-def field_of(program: LaneProgram, values: Values, columns, t, partials: bool = False):
-    """The vector field of the lanes."""
+def field_of(program: LaneProgram, values: Values, columns, t, partials: bool = False, differentiated=None):
+    """The vector field of the lanes; differentiated: see `LaneField.bind`."""
     if program.small or partials:
         field = LaneField(program.plan, values, program.places, program.observed, program.fixed)
-        return field.bind(values, columns, t, partials)
+        return field.bind(values, columns, t, partials, differentiated)
     return BlockField(program.plan, values, program.places, program.observed, columns, t)
 
 
@@ -148,10 +148,14 @@ def compiled(function, static: tuple[int, ...] = (0,)):
     return jax.jit(function, static_argnums=static, compiler_options=options)
 
 
-def chunk_tangent(program: LaneProgram, values: Values, columns, grid, steps):
-    """Outputs (samples, observed, lanes) and their derivatives (samples, columns, observed, lanes)."""
+def chunk_tangent(program: LaneProgram, values: Values, columns, grid, steps, differentiated=None):
+    """Outputs (samples, observed, lanes) and their derivatives (samples, columns, observed, lanes).
+
+    differentiated: indices of the columns that derivatives are taken in, (lanes,) each; all by default.
+    """
+    differentiated = tuple(range(len(columns)) if differentiated is None else differentiated)
     if program.small and program.engine == "explicit":
-        return march_tangent(field_of(program, values, columns, grid[0, -1], partials=True), grid, steps)
+        return march_tangent(field_of(program, values, columns, grid[0, -1], True, differentiated), grid, steps)
 
     def outputs(columns):
         return _marched(program, values, columns, grid, steps)[0]
@@ -160,7 +164,7 @@ def chunk_tangent(program: LaneProgram, values: Values, columns, grid, steps):
         tangents = [jnp.full_like(x, k == c) for k, x in enumerate(columns)]
         return jax.jvp(outputs, (list(columns),), (tangents,))
 
-    shown, slopes = jax.lax.map(along, jnp.arange(len(columns)))
+    shown, slopes = jax.lax.map(along, jnp.asarray(differentiated))
     return shown[0], jnp.moveaxis(slopes, 0, 1)
 
 

@@ -155,17 +155,21 @@ class LaneField:
         seed[:] = flat
         return seed.reshape(array.shape)
 
-    def bind(self, values: Values, columns: Sequence, t, partials: bool = False) -> "BoundField":
+    def bind(
+        self, values: Values, columns: Sequence, t, partials: bool = False, differentiated: Sequence[int] | None = None
+    ) -> "BoundField":
         """The field with numbers: those of the circuit, and the columns of the varied ones, (lanes,) each.
 
-        partials: whether partial derivatives will be asked for.
+        partials: whether partial derivatives will be asked for; differentiated: the columns that they are taken in
+        (all by default).
         """
         known = {self._node(("column", c)): column for c, column in enumerate(columns)}
         for position, leaf in enumerate(jax.tree.leaves(values)):
             for i in range(int(np.prod(np.shape(leaf)))):
                 if ("leaf", position, i) not in self._fixed:
                     known[self._node(("leaf", position, i))] = jnp.ravel(jnp.asarray(leaf))[i]
-        return BoundField(self, values, columns, known, t, columns[0].shape[-1:], partials)
+        wanted = range(len(columns)) if differentiated is None else differentiated
+        return BoundField(self, values, columns, known, t, columns[0].shape[-1:], partials, tuple(wanted))
 
     def inputs(self) -> list:
         """Names of what a derivative is taken in, beside the states: columns, then signals."""
@@ -183,16 +187,27 @@ class BoundField:
     A state is a tuple of arrays (lanes,), in the order of `LaneField.state_names`.
     """
 
-    def __init__(self, field: LaneField, values: Values, columns, known: dict, t, shape, partials):
-        self.field, self.columns, self.shape = field, columns, shape
+    def __init__(self, field: LaneField, values: Values, columns, known: dict, t, shape, partials, differentiated):
+        self.field, self.columns, self.shape, self.differentiated = field, columns, shape, differentiated
         self._signals = LaneSignals(values, field.tags, len(columns))
-        names = [*field.state_names, *field.inputs()]
-        rows = [field.partials(which, names) if partials else [] for which in ("rates", "outputs")]
+        self._places = [i for i, name in enumerate(field.inputs()) if self._is_wanted(name)]
+        rows = [self._partials(which) if partials else [] for which in ("rates", "outputs")]
         self.rate_partials, self.output_partials = rows
         self._start_known = known | field.moving(self.signals(t))
         nodes = [*field.rates, *field.outputs, *(node for part in rows for row in part for node in row.values())]
         once = boundary(nodes)
         self._once = dict(zip(once, evaluate(once, known), strict=True))
+
+    def _is_wanted(self, name) -> bool:
+        """Whether derivatives in an input are needed: those in other columns are not."""
+        return name[1] in (self.differentiated if name[0] == "column" else self._signals.moved_by(self.differentiated))
+
+    def _partials(self, which: str) -> list[dict[int, Node]]:
+        """Partial derivatives in the states (0..) and in those inputs after them that are needed."""
+        size, inputs = self.field.size, self.field.inputs()
+        places = [*range(size), *(size + i for i in self._places)]
+        rows = self.field.partials(which, [*self.field.state_names, *(inputs[i] for i in self._places)])
+        return [{places[k]: node for k, node in row.items()} for row in rows]
 
     def signals(self, t) -> list:
         """What the signals are at time t."""
@@ -225,10 +240,11 @@ class BoundField:
 
     def start_partials(self) -> list[dict[int, Any]]:
         """For each state the derivatives of its start in the columns and, after them, in the signals."""
-        rows = self.field.partials("start", self.field.inputs())
+        inputs = self.field.inputs()
+        rows = self.field.partials("start", [inputs[i] for i in self._places])
         nodes = [node for row in rows for node in row.values()]
         found = iter(evaluate(nodes, self._start_known))
-        return [{k: jnp.broadcast_to(next(found), self.shape) for k in row} for row in rows]
+        return [{self._places[k]: jnp.broadcast_to(next(found), self.shape) for k in row} for row in rows]
 
     @property
     def varies_signals(self) -> bool:
@@ -236,8 +252,8 @@ class BoundField:
         return bool(self._signals.columns)
 
     def pushed(self, t) -> list[dict[int, Any]]:
-        """For each signal its derivatives in the columns."""
-        return self._signals.pushed(self.columns, t)
+        """For each signal its derivatives in the columns that are differentiated."""
+        return self._signals.pushed(self.columns, t, self.differentiated)
 
     def pulled(self, t, cotangents: Sequence) -> list:
         """Cotangents of the columns from those of the signals."""

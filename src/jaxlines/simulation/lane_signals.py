@@ -84,6 +84,10 @@ class LaneSignals:
         self.columns = sorted({c for tags in self._tags for c in tags if c is not None})
         """Columns that vary signals."""
 
+    def moved_by(self, columns: Sequence[int]) -> list[int]:
+        """Signals that some columns vary."""
+        return [k for k, tags in enumerate(self._tags) if any(tag in columns for tag in tags if tag is not None)]
+
     def numbers(self, columns: Sequence, t) -> list:
         """What the signals are at time t: one number, or one for each lane."""
         return [self._number(signal, tags, columns, t) for signal, tags in zip(self._signals, self._tags, strict=True)]
@@ -97,12 +101,15 @@ class LaneSignals:
         axes = [None if tag is None else -1 for tag in tags]
         return jax.vmap(lambda leaves: jax.tree.unflatten(structure, leaves)(t), in_axes=(axes,))(leaves)
 
-    def pushed(self, columns: Sequence, t) -> list[dict[int, Any]]:
-        """For each signal the derivatives in the columns that vary it."""
+    def pushed(self, columns: Sequence, t, wanted: Sequence[int]) -> list[dict[int, Any]]:
+        """For each signal the derivatives in those of the wanted columns that vary it."""
         rows: list[dict[int, Any]] = [{} for _ in self._signals]
-        for c in self.columns:
-            tangents = [jnp.ones_like(x) if k == c else jnp.zeros_like(x) for k, x in enumerate(columns)]
-            slopes = jax.jvp(lambda columns: self.numbers(columns, t), (list(columns),), (tangents,))[1]
+        for c in (c for c in self.columns if c in wanted):
+
+            def along(column, c=c):
+                return self.numbers([column if k == c else x for k, x in enumerate(columns)], t)
+
+            slopes = jax.jvp(along, (columns[c],), (jnp.ones_like(columns[c]),))[1]
             for row, tags, slope in zip(rows, self._tags, slopes, strict=True):
                 if c in tags:
                     row[c] = slope

@@ -61,7 +61,7 @@ def _reach(field: BoundField, seeds: list[set[int]]) -> list[set[int]]:
 
 
 def grouped(field: BoundField, start: list[dict[int, Any]], signal_columns: list[set[int]]) -> list[Group]:
-    """Columns by the states that they reach."""
+    """Differentiated columns by the states that they reach."""
     size, count = field.field.size, len(field.columns)
     seeds: list[set[int]] = [{i for i, row in enumerate(start) if c in row} for c in range(count)]
     for i, row in enumerate(field.rate_partials):
@@ -72,8 +72,9 @@ def grouped(field: BoundField, start: list[dict[int, Any]], signal_columns: list
                 for column in signal_columns[place - size - count]:
                     seeds[column].add(i)
     groups: dict[tuple[int, ...], list[int]] = {}
-    for column, states in enumerate(_reach(field, seeds)):
-        groups.setdefault(tuple(sorted(states)), []).append(column)
+    reached = _reach(field, seeds)
+    for column in field.differentiated:
+        groups.setdefault(tuple(sorted(reached[column])), []).append(column)
     return [Group(tuple(columns), states) for states, columns in groups.items()]
 
 
@@ -148,23 +149,25 @@ def tangent_interval(field: BoundField, groups: list[Group], begin, end, steps, 
 
 
 def observed(field: BoundField, groups: list[Group], t, now: Tangent):
-    """Outputs (wanted, lanes) and their derivatives (columns, wanted, lanes)."""
+    """Outputs (wanted, lanes) and their derivatives (differentiated columns, wanted, lanes)."""
     shown, partials = field.outputs_and_partials(field.signals(t), now.state)
-    pushed, count = field.pushed(t), len(field.columns)
+    pushed, place_of = field.pushed(t), {column: k for k, column in enumerate(field.differentiated)}
     rows = []
     for row in partials:
-        by_column = [jnp.zeros_like(shown[0])] * count
+        by_column = [jnp.zeros_like(shown[0])] * len(place_of)
         direct = _inputs(field, row, pushed)
         for group, slopes in zip(groups, now.slopes, strict=True):
             total = _combined(group, dict(zip(group.states, slopes, strict=True)), row, direct)
             for place, column in enumerate(group.columns):
-                by_column[column] = by_column[column] if total is None else total[place]
+                k = place_of[column]
+                by_column[k] = by_column[k] if total is None else total[place]
         rows.append(jnp.stack(by_column))
     return jnp.stack(shown), jnp.stack(rows, axis=1)
 
 
 def march_tangent(field: BoundField, grid, steps):
-    """Outputs (samples, wanted, lanes) and their derivatives (samples, columns, wanted, lanes); see `march`."""
+    """Outputs (samples, wanted, lanes) and their derivatives (samples, differentiated columns, wanted, lanes); see
+    `march`."""
     start, groups = tangent_start(field, grid[0, -1])
 
     def between(now: Tangent, ends):
