@@ -9,7 +9,7 @@ import pytest
 
 import jaxlines as jl
 from jaxlines.simulation.assembly import compile_circuit, number_locations
-from jaxlines.simulation.graded_steps import Steps, graded_steps, rounded_up
+from jaxlines.simulation.graded_steps import Steps, graded_steps, rounded_up, trial_of
 from jaxlines.simulation.jacobian import structure_of
 from jaxlines.simulation.rosenbrock import RODASP, integrate, integrate_steps
 from jaxlines.simulation.vector_field import rates, starting_point
@@ -128,7 +128,7 @@ def test_a_leak_through_a_jump_in_the_inflow():
     volume = jl.Line("A", jl.Vessel(1e-3))
     parts = {"volume": volume, "leak": jl.LaminarLeak("A", "T", 1e-11), "tank": jl.Tank("T", 0.0)}
     inflow = jl.Step(0.0, 1e-4, 0.1)
-    circuit = jl.Circuit(oil, parts | {"source": jl.FlowSource("A", "flow")})
+    circuit = jl.Circuit(oil, {**parts, "source": jl.FlowSource("A", "flow")})
     plan, values = compile_circuit(circuit, {"A.pressure": 5e6}, {"flow": inflow})
     values, times = with_lanes(values, 1), np.array([0.0, 0.1, 0.2])
     run = jax.jit(lambda grid: integrate(plan, values, grid, start_of(plan, values, 1)))
@@ -195,7 +195,7 @@ class Driven:
             self.nodes = [name for name, _ in self.plan.free_nodes]
             self.values = with_lanes(single, 4, fluid_bulk_modulus=MODULI)
             self.start = start_of(self.plan, self.values, 4)
-            self.steps = graded_steps(self.plan, self.values, TIMES, self.start, tolerance)
+            self.steps = graded_steps(trial_of(self.plan, self.values), TIMES, self.start, tolerance)
             times, interval = self.steps
             self.run = jax.jit(lambda v, start: integrate_steps(self.plan, v, times, interval, len(TIMES) - 1, start))
             self.saved, self.error = self.run(self.values, self.start)
@@ -250,6 +250,16 @@ def test_steps_are_short_only_where_it_moves(driven):
     more = rounded_up(steps, TIMES)
     assert steps.count <= more.count <= 1.15 * steps.count + 16 and set(steps.times) <= set(more.times)
     assert rounded_up(Steps(more.times, more.interval), TIMES).count == more.count
+
+
+def test_a_pilot_that_cannot_go_on_says_where():
+    def trial(t, h, state):
+        return state, 0.0 if t + h < 0.5 else np.inf
+
+    with pytest.raises(RuntimeError, match=r"stopped at 0\.\d+ s: a step of .* is still too long"):
+        graded_steps(trial, [0.0, 1.0], None, 1e-3)
+    with pytest.raises(RuntimeError, match="3 steps are not enough"):
+        graded_steps(trial, [0.0, 1.0], None, 1e-3, max_steps=3)
 
 
 def test_lanes_do_not_meet(driven):

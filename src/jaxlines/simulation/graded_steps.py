@@ -5,6 +5,7 @@ lanes, whatever chunks these run in, so that results do not depend on who runs b
 """
 
 import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -41,14 +42,18 @@ def _trial(plan: Plan, values: Values, t, h, state):
     return new, jnp.max(jnp.where(jnp.isfinite(size), size, jnp.inf))
 
 
-def graded_steps(
-    plan: Plan, values: Values, times, start, tolerance: float, *, knots=(), max_steps: int = 100_000
-) -> Steps:
+def trial_of(plan: Plan, values: Values) -> Callable:
+    """What tries a step of a pilot, for `graded_steps`. Args: values: of the pilot's lanes, lanes last."""
+    return functools.partial(_trial, plan, values)
+
+
+def graded_steps(trial: Callable, times, start, tolerance: float, *, knots=(), max_steps: int = 100_000) -> Steps:
     """The steps that some lanes need together; runs on the host, outside of traced code.
 
-    Args: values, start: of the lanes of a pilot, lanes last; times: of the samples [s], increasing; tolerance: largest
-        error estimate of a step, relative to each state plus its typical size; knots: further times at which steps end,
-        as the jumps and kinks of inputs [s]; max_steps: of the pilot, rejected ones included.
+    Args: trial(t, h, state): gives the state after a step and the largest error estimate of all lanes, infinite where
+        one fails, see `trial_of`; times: of the samples [s], increasing; start: state of the pilot's lanes;
+        tolerance: largest error estimate of a step, relative to each state plus its typical size; knots: further times
+        at which steps end, as the jumps and kinks of inputs [s]; max_steps: of the pilot, rejected ones included.
     Returns: steps that end on all samples and knots.
     Raises: RuntimeError when a lane fails however short the step, or when max_steps are not enough.
     Validity: of the lanes it was made for. Others are as accurate where they move no faster; each lane's own error
@@ -63,7 +68,7 @@ def graded_steps(
         while taken[-1] < stop:
             left = stop - taken[-1]
             part = left if h >= left else min(h, 0.5 * left)  # two equal steps rather than a long and a tiny one
-            new, error = _trial(plan, values, taken[-1], part, state)
+            new, error = trial(taken[-1], part, state)
             tried, worse = tried + 1, float(error) / tolerance
             if worse <= 1.0:
                 state = new
