@@ -8,6 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
+from jaxlines.edge import sweep_commands
+
 # Whatever needs JAX is imported inside the commands, so that --version and --help answer at once.
 
 WRONG_CALL = 2
@@ -141,6 +143,9 @@ def check(study: StudyFile, quiet: Quiet = False) -> None:
             simulation = loaded.simulate(on_recording=True)
         show_study(loaded, simulation)
         show_simulation(simulation, "simulated with the numbers of the file", ())
+
+
+sweep_commands.add_commands(app, _one_line_errors)
 
 
 def run(arguments: list[str] | None = None) -> int:

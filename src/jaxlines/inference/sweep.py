@@ -15,7 +15,7 @@ from jaxlines.inference.propagation import lanes_to_evaluate, linear_propagation
 from jaxlines.inference.samplers import Grid, Rows
 from jaxlines.inference.statistics import QUANTILES
 from jaxlines.inference.sweep_collect import collect, nothing
-from jaxlines.inference.sweep_plan import SweepPlan
+from jaxlines.inference.sweep_plan import PILOT, SweepPlan
 from jaxlines.inference.sweep_result import SweepResult
 from jaxlines.inference.sweep_run import Progress, prepare_store, run_chunks
 from jaxlines.inference.sweep_store import ChangedPlan, SweepStore, stores_in, write_new
@@ -151,7 +151,7 @@ def _store_linear(store: SweepStore, plan: SweepPlan, program: Any) -> None:
     if path.exists() or not plan.model.reductions:
         return
     means, covariance, lanes = lanes_to_evaluate(plan.uncertain)
-    found = run_lanes(plan, program, lanes, store.chunk)
+    found = run_lanes(plan, program, lanes, PILOT)  # as many at once as the pilot, whose program is there
     if np.any(found.status != 0):
         store.log({"event": "note", "note": "no linear propagation: a lane around the means failed"})
         return
