@@ -59,7 +59,8 @@ def _copied(path: str) -> str:
 
 def generated_pages() -> dict[str, str]:
     """Path in the site -> content, of every page that is made from code or from docs/."""
-    from jaxlines.edge.study_schema import keys_as_markdown, study_schema_text
+    from jaxlines.edge.study_keys import keys_as_markdown
+    from jaxlines.edge.study_schema import study_schema_text
 
     return {
         "reference/commands.md": commands_page(),

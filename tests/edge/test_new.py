@@ -140,6 +140,15 @@ def test_doubts_are_named(folder):
     assert not proposed(folder, "long-pipe")[0].doubts
 
 
+def test_a_piston_of_which_the_travel_is_recorded(tmp_path):
+    frame = compression()
+    frame["x [cm]"] = frame.pop("V [mL]") / 1.0  # of 1 cm^2: one mL a cm
+    frame.to_csv(tmp_path / "press.csv", index=False)
+    found = propose_study(tmp_path / "press.csv", base=tmp_path)
+    assert found.template == "compression" and '"flow" = ["x [cm]", "10000 mm^3", "rate"]' in found.text
+    assert any("a piston area of 1000 mm^2 is a guess" in doubt for doubt in found.doubts)
+
+
 def test_moduli_of_a_compression_test_come_straight_from_the_recording(folder):
     text = proposed(folder, "compression")[0].text
     lines = [line for line in text.splitlines() if "modulus" in line and "GPa" in line and line.startswith("# ")]

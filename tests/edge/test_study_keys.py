@@ -15,17 +15,16 @@ from jaxlines.edge.building import StudyError
 from jaxlines.edge.class_docs import argument_docs, purpose
 from jaxlines.edge.key_docs import KEY_DOCS
 from jaxlines.edge.new_commands import add_commands
-from jaxlines.edge.study_positions import position_of, positions, with_positions
-from jaxlines.edge.study_schema import (
+from jaxlines.edge.study_keys import (
     classes_in_studies,
     keys_as_markdown,
     keys_as_text,
     keys_of_class,
     keys_of_table,
-    study_schema,
-    study_schema_text,
     table_models,
 )
+from jaxlines.edge.study_positions import position_of, positions, with_positions
+from jaxlines.edge.study_schema import study_schema, study_schema_text
 from jaxlines.physics.fluids import Oil
 from jaxlines.physics.lines import Line
 

@@ -100,7 +100,7 @@ def add_commands(app: typer.Typer, one_line_errors) -> None:
         ] = "",
     ) -> None:
         """Print the keys of study files: type, unit, default and range of each."""
-        from jaxlines.edge.study_schema import keys_as_text
+        from jaxlines.edge.study_keys import keys_as_text
 
         with one_line_errors(table or "keys"):
             typer.echo(keys_as_text(table))
