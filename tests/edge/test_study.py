@@ -259,7 +259,7 @@ MISTAKES = [
     (('file = "line.csv"', 'files = ["line.csv"]\nconditions = "no.csv"'), "recording.conditions: "),
     (('file = "line.csv"', 'file = "line.csv"\nfiles = ["a.csv"]'), "recording: give `file` or `files`, not both"),
     ((FREE_MODULUS, FREE_MODULUS + "prior = { gauss = {} }\n"), "fit.free.0.prior: expected one of normal, log_normal"),
-    ((FREE_MODULUS, FREE_MODULUS + "prior = { normal = { mean = 3 } }\n"), ".prior.normal: it needs mean and sd, got mean"),
+    ((FREE_MODULUS, FREE_MODULUS + "prior = { normal = { mean = 3 } }\n"), "prior.normal: it needs mean and sd, got"),
     ((FREE_MODULUS, FREE_MODULUS + "ratios = [1, 2]\n"), "ratios must be one finite number other than 0 for each of"),
     (("[fit]\n", '[fit]\nloss = "hubert"\n'), "fit.loss: input should be 'gauss', 'huber' or 'student'"),
     (("[fit]\n", '[fit]\ninput_noise = { flo = "1 L/min" }\n'), "fit.input_noise: no input is called 'flo'"),

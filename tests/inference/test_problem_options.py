@@ -12,6 +12,7 @@ from jaxlines.inference.joint import JointProblem
 from jaxlines.inference.noise import Noise
 from jaxlines.inference.parameters import Free
 from jaxlines.inference.problem import Problem
+from jaxlines.inference.recording_check import check_recording
 from jaxlines.inference.search import Evaluator, search
 
 from .cases import linear_line
@@ -178,6 +179,14 @@ def test_condensed_rows_lead_the_same_way_as_all_rows():
     assert found.status == "converged"
 
 
+def test_a_recording_is_checked_on_its_own():
+    data = recording(PRESSURE * 1e-5)
+    found = check_recording(linear_line(), data, initial={"A.pressure": START})
+    assert [(fault.kind, fault.channel, fault.grave) for fault in found] == [("unit", "A.pressure", True)]
+    assert "was it recorded in bar" in found[0].text
+    assert check_recording(linear_line(), recording(PRESSURE)) == ()
+
+
 @pytest.mark.slow
 def test_ratios_tie_two_volumes():
     """Two vessels in a fixed ratio: only their sum, 1.5 times the first, is seen."""
@@ -217,6 +226,28 @@ def test_gain_and_offset_of_an_input_and_its_delay_are_found():
         estimate = fit.parameters[name]
         assert abs(estimate.value - truth) < 4.0 * sd_of(estimate) + 2e-3 * abs(truth), name
     assert fit.parameters["flow.offset"].unit == "m^3/s" and fit.parameters["flow.delay"].unit == "s"
+
+
+@pytest.mark.slow
+def test_gain_offset_and_delay_of_a_sensor_are_found():
+    """The pressure itself calibrates the sensor beside it; its delay shows in the curve of the pressure."""
+    times = np.linspace(0.0, 10.0, 192)
+    parts = linear_line().components | {"gauge": jl.PressureSensor("A", gain=1.0, delay=0.1)}
+    flow = 1e-5 * np.cos(times)
+    pressure = START + K / VOLUME * 1e-5 * np.sin(times)
+    late = START + K / VOLUME * 1e-5 * np.sin(np.maximum(times - 0.3, 0.0))
+    noise = np.random.default_rng(3).standard_normal((2, 192))
+    channels = {"A.pressure": pressure + 100.0 * noise[0], "gauge": 1.04 * late + 2e4 + 100.0 * noise[1], "flow": flow}
+    free = [
+        Free("gauge.gain", (0.5, 2.0), start=0.8),
+        Free("gauge.offset", (-1e5, 1e5), start=0.0),
+        Free("gauge.delay", (0.05, 1.0), start=0.6),
+        Free("initial.A.pressure", (1e5, 1e6)),
+    ]
+    circuit = jl.Circuit(linear_line().fluid, parts)
+    fit = jl.fit(circuit, jl.Recording(times, channels), free=free)
+    for name, truth in {"gauge.gain": 1.04, "gauge.offset": 2e4, "gauge.delay": 0.3}.items():
+        assert fit.parameters[name].value == pytest.approx(truth, rel=1e-2), name  # the flow is joined linearly
 
 
 @pytest.mark.slow

@@ -153,6 +153,21 @@ def test_uncertainty_of_recorded_inputs_follows_closed_form(part):
     assert np.sqrt(estimate.sd**2 - plain**2) == pytest.approx(expected, rel=2e-3)
 
 
+@pytest.mark.slow
+def test_measured_starts_of_several_runs_add_their_share():
+    """K = sum s (p - p_first)/sum s^2: the noise of the first sample of each run counts once, for all of that run."""
+    fit = jl.fit(linear_line(), RUNS, free=[MODULUS], noise={"A.pressure": NOISE})
+    slopes = [r.channels["flow"] * r.times / r.conditions["line.volume"] for r in RUNS]
+    total = sum(float(s @ s) for s in slopes)
+    rises = [r.channels["A.pressure"] - r.channels["A.pressure"][0] for r in RUNS]
+    estimate = fit.parameters["fluid.bulk_modulus"]
+    assert estimate.value == pytest.approx(
+        sum(float(s @ p) for s, p in zip(slopes, rises, strict=True)) / total, rel=1e-6
+    )
+    variance = 1.0 / total + sum(float(s.sum()) ** 2 for s in slopes) / total**2
+    assert estimate.sd == pytest.approx(NOISE * np.sqrt(variance), rel=1e-3)
+
+
 def test_wrong_calls_say_what_is_wrong():
     twice = [RUNS[0], RUNS[0], RUNS[1]]
     with pytest.raises(ValueError, match=r"two recordings are called 'run 1'"):
