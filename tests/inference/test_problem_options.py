@@ -61,6 +61,16 @@ def test_relative_noise_ends_where_weights_and_estimates_agree():
     assert abs(estimate.value - K) < 3.0 * sd_of(estimate)
 
 
+def test_known_relative_noise_weighs_by_what_is_simulated():
+    """Weights from the readings themselves would trust low outliers; the closed form takes the simulated ones."""
+    pressure = PRESSURE + NOISE * 0.2 * PRESSURE
+    fit = jl.fit(linear_line(), recording(pressure), noise={"A.pressure": Noise(0.0, 0.2)}, check=False, **ARGUMENTS)
+    value = fit.parameters["fluid.bulk_modulus"].value
+    simulated = START + value / VOLUME * integral(FLOW)
+    assert value == pytest.approx(closed_form(pressure, (0.2 * simulated) ** -2.0), rel=1e-3)
+    assert value != pytest.approx(closed_form(pressure, (0.2 * pressure) ** -2.0), rel=5e-3)
+
+
 def test_robust_losses_agree_with_scipy_and_bear_outliers():
     pressure = PRESSURE + 1e4 * NOISE
     pressure[[5, 12, 20]] += [3e5, -4e5, 6e5]

@@ -7,6 +7,7 @@ the file, in moments, until it comes to where the other one ended.
 
 import dataclasses
 import hashlib
+import importlib.metadata
 import json
 import os
 import re
@@ -81,6 +82,7 @@ def problem_key(problem: JointProblem, *more) -> str:
         add(trial.steady)
     for sigma in problem.sigma:
         add(sigma)
+    add(importlib.metadata.version("jaxlines"))
     for thing in (problem.free, problem.columns, problem.known, problem.known_columns, problem.loss, *more):
         add(thing)
     return digest.hexdigest()

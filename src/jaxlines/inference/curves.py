@@ -113,7 +113,11 @@ def line_curves(
     """Curves of every line, as in the first recording, over the pressures it visited in all of them."""
     curves = {}
     for name, line in problem.trials[0].circuit.components.items():
-        if not isinstance(line, Line) or any(simulation.status != "ok" for simulation in simulations):
+        if (
+            not isinstance(line, Line)
+            or not simulations
+            or any(simulation.status != "ok" for simulation in simulations)
+        ):
             continue
         visited = _visited(simulations, line)
         pressure = np.geomspace(max(visited.min(), 1e3), max(visited.max(), 2e3), CURVE_POINTS)

@@ -42,7 +42,7 @@ _ROUNDS = 12
 def _settle_noise(
     problem: JointProblem, best: Found, noise: dict[str, Noise], memory: Memory, say: Progress
 ) -> tuple[JointProblem, Found, dict[str, Noise], int]:
-    """Estimate unknown noise levels and repeat the search until they settle.
+    """Estimate unknown noise levels, take relative ones of what is simulated, and search again until both settle.
 
     Without priors, given levels or a robust loss only their ratios matter, so that one channel is done at once.
     """
@@ -50,7 +50,7 @@ def _settle_noise(
     given = any(not (of.absolute is None and of.uniform) for of in noise.values())
     given |= any(trial.recording.noise for trial in problem.trials)
     scaled = given or problem.loss.kind != "gauss" or problem.prior_residuals(best.values).size > 0
-    if not any(of.estimated for of in noise.values()):
+    if all(not of.estimated and of.uniform for of in noise.values()):
         return problem, best, levels, 0
     for turn in range(_ROUNDS):
         levels, fresh = estimated_levels(problem, noise, best.simulated)
@@ -251,7 +251,7 @@ def _result(
         status=status,
         message=message,
         parameters=parameters,
-        derived={name: derived_estimate(problem, best, analysis, simulations, name) for name in derived},
+        derived={name: derived_estimate(problem, best, analysis, simulations, name) for name in derived if simulations},
         correlations=analysis.correlations,
         channels=channels,
         curves=line_curves(problem, best, analysis, simulations),

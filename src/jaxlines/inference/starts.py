@@ -15,7 +15,8 @@ SAMPLINGS = ("sobol", "latin")
 class Start(NamedTuple):
     """One start of a search: its number (0 is the one that was given), values where it began and ended in SI.
 
-    cost: half the sum of squares at the end, infinite when the search failed; status and message as of a fit.
+    cost: half the sum of squares at the end, at the noise levels that were given or guessed first, infinite when the
+    search failed; status and message as of a fit.
     """
 
     number: int
