@@ -89,6 +89,7 @@ class FitTable(Table):
     loss_scale: float | None = Field(
         default=None, gt=0, description="where huber bends (standard deviations), degrees of freedom of student"
     )
+    check: bool = Field(default=True, description="refuse recordings with grave faults (swapped unit, dead channel)")
     steady: bool = Field(default=False, description="start every recording in the steady state of its first inputs")
     input_noise: Annotated[dict[str, Number], BeforeValidator(_flat)] = Field(
         default={},
