@@ -1,0 +1,306 @@
+"""Many least-squares searches side by side: one batched residual-and-Jacobian call an iteration, all else per lane.
+
+Of every lane only the triangular factor of its weighted rows is kept, [J r] = Q R, which holds J'J, J'r and r'r
+without squaring anything: residuals and Jacobians of thousands of recordings need not fit into memory.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxlines.inference.batch_lanes import Batch
+from jaxlines.inference.search import NEAR_FAILURE, OFFSET_GOAL, OFFSET_LIMIT
+from jaxlines.inference.uncertainty import UNINFORMED
+
+FIRST_DAMPING, MOST_DAMPING, LEAST_DAMPING = 1e-3, 1e12, 1e-12
+
+CHECK_GOAL = 1e-3
+"""Relative offset that finer steps and the final weights may leave, in standard errors; else the search goes on."""
+
+MOST_LEVELS = 7
+"""Levels of accuracy, each with twice the steps of the one before; the last is only looked at."""
+
+
+@dataclasses.dataclass
+class Searches:
+    """The state of all searches.
+
+    Fields: coordinates (lanes, free); simulated (lanes, times, channels); sigma, same shape; factor: R of [J r],
+    shape (lanes, free + 1, free + 1), of weighted rows by coordinates; cost (lanes,): half the sum of squares;
+    damping, growth; alive: whether the start could be simulated; offset (lanes,): see `offsets`, at the last look
+    with finer steps; checked: whether there was one; level (lanes,): of accuracy; failed: for each lane the
+    coordinates at which its simulation failed; iterations (lanes,).
+    """
+
+    coordinates: np.ndarray
+    simulated: np.ndarray
+    sigma: np.ndarray
+    factor: np.ndarray
+    cost: np.ndarray
+    damping: np.ndarray
+    growth: np.ndarray
+    alive: np.ndarray
+    offset: np.ndarray
+    checked: np.ndarray
+    level: np.ndarray
+    failed: list[list[np.ndarray]]
+    iterations: np.ndarray
+
+
+class Seen(NamedTuple):
+    """Simulated channels of some lanes, factors of their rows and costs; NaN for failed lanes."""
+
+    simulated: np.ndarray
+    factor: np.ndarray
+    cost: np.ndarray
+
+
+def evaluate(batch: Batch, coordinates, lanes, sigma, level: int) -> Seen:
+    """Simulate lanes at coordinates, (m, free), with weights sigma, (m, times, channels)."""
+    count, values = len(batch.free), batch.to_values(coordinates)
+    steps = np.stack([f.slope(values[:, i]) for i, f in enumerate(batch.free)], axis=1)
+    prior, prior_slopes = _prior_rows(batch, values)
+    seen = Seen(
+        np.empty((lanes.size, *batch.measured.shape[1:])),
+        np.full((lanes.size, count + 1, count + 1), np.nan),
+        np.full(lanes.size, np.nan),
+    )
+
+    def take(part, shown, slopes) -> None:
+        seen.simulated[part] = shown
+        good = np.isfinite(shown).all(axis=(1, 2))
+        part, shown, slopes = part[good], shown[good], slopes[good]
+        own = lanes[part]
+        weight = np.where(batch.used[own], 1.0 / sigma[part], 0.0)
+        rows = np.empty((part.size, shown.shape[1] * shown.shape[2] + prior.shape[1], count + 1))
+        size = rows.shape[1] - prior.shape[1]
+        misfit = np.where(batch.used[own], shown - batch.measured[own], 0.0)
+        rows[:, :size, count] = (misfit * weight).reshape(part.size, -1)
+        rows[:, :size, :count] = (slopes * weight[..., None]).reshape(part.size, size, count)
+        rows[:, size:, count], rows[:, size:, :count] = prior[part], prior_slopes[part]
+        rows[:, :, :count] *= steps[part, None]
+        seen.factor[part] = _triangle(rows)
+        seen.cost[part] = 0.5 * (rows[..., count] ** 2).sum(axis=1)
+
+    batch.engine.run(values, lanes, level, True, take)
+    return seen
+
+
+def _triangle(rows: np.ndarray) -> np.ndarray:
+    """R of rows (lanes, samples, columns), shape (lanes, columns, columns)."""
+    missing = rows.shape[2] - rows.shape[1]
+    if missing > 0:
+        rows = np.concatenate([rows, np.zeros((rows.shape[0], missing, rows.shape[2]))], axis=1)
+    return np.linalg.qr(rows, mode="r") if rows.shape[0] else np.zeros((0, rows.shape[2], rows.shape[2]))
+
+
+def _prior_rows(batch: Batch, values) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of the priors (lanes, priors) and their slopes in the values, (lanes, priors, free)."""
+    held = [(i, f.prior) for i, f in enumerate(batch.free) if f.prior is not None and not f.prior.flat]
+    rows, slopes = np.zeros((len(values), len(held))), np.zeros((len(values), len(held), len(batch.free)))
+    for k, (i, prior) in enumerate(held):
+        rows[:, k] = [prior.residual(value) for value in values[:, i]]
+        slopes[:, k, i] = [prior.slope(value) for value in values[:, i]]
+    return rows, slopes
+
+
+def bounds_of(batch: Batch) -> np.ndarray:
+    """Bounds of the coordinates, shape (free, 2)."""
+    return np.array([f.coordinate_bounds() for f in batch.free])
+
+
+def begin(batch: Batch, coordinates: np.ndarray) -> Searches:
+    """All searches at their starts."""
+    lanes = np.arange(batch.lanes)
+    seen = evaluate(batch, coordinates, lanes, batch.sigma, 0)
+    return Searches(
+        coordinates=coordinates.copy(),
+        simulated=seen.simulated,
+        sigma=batch.sigma.copy(),
+        factor=seen.factor,
+        cost=seen.cost,
+        damping=np.full(lanes.size, FIRST_DAMPING),
+        growth=np.full(lanes.size, 2.0),
+        alive=np.isfinite(seen.cost),
+        offset=np.full(lanes.size, np.nan),
+        checked=np.zeros(lanes.size, bool),
+        level=np.zeros(lanes.size, int),
+        failed=[[] for _ in lanes],
+        iterations=np.zeros(lanes.size, int),
+    )
+
+
+def on_bound(factor, coordinates, bounds, share: float) -> np.ndarray:
+    """Which coordinates are at a bound (within a share of the widths) that the gradient pushes against."""
+    count, margin = coordinates.shape[1], share * (bounds[:, 1] - bounds[:, 0])
+    gradient = np.einsum("lri,lr->li", factor[:, :, :count], factor[:, :, count])
+    low = (coordinates <= bounds[:, 0] + margin) & (gradient > 0)
+    return low | ((coordinates >= bounds[:, 1] - margin) & (gradient < 0))
+
+
+def steps_of(factor, damping, coordinates, bounds) -> np.ndarray:
+    """Damped Gauss-Newton steps of lanes that stay inside the bounds (Levenberg 1944, Marquardt 1963).
+
+    Columns are scaled to length one, so that neither units nor the size of the noise matter.
+    """
+    count = coordinates.shape[1]
+    jacobian = np.where(on_bound(factor, coordinates, bounds, 1e-12)[:, None], 0.0, factor[:, :, :count])
+    size = np.sqrt((jacobian**2).sum(axis=1))
+    size = np.where(size > 0.0, size, 1.0)
+    scaled = jacobian / size[:, None]
+    matrix = np.einsum("lri,lrj->lij", scaled, scaled)
+    diagonal = np.arange(count)
+    # A column without slopes gets the diagonal of the others and a gradient of zero: it does not move.
+    matrix[:, diagonal, diagonal] = 1.0 + damping[:, None]
+    gradient = np.einsum("lri,lr->li", scaled, factor[:, :, count])
+    step = np.linalg.solve(matrix, -gradient[..., None])[..., 0] / size
+    return np.clip(coordinates + step, bounds[:, 0], bounds[:, 1]) - coordinates
+
+
+def offsets(factor, coordinates, bounds, samples) -> np.ndarray:
+    """Remaining Gauss-Newton steps in standard errors (lanes,); see `search.relative_offset`, here of all lanes.
+
+    samples (lanes,): how many rows the factors stand for.
+    """
+    count, widths = coordinates.shape[1], bounds[:, 1] - bounds[:, 0]
+    stuck = on_bound(factor, coordinates, bounds, 1e-6)
+    residuals = factor[:, :, count]
+    left, singular, _ = np.linalg.svd(np.where(stuck[:, None], 0.0, factor[:, :, :count] * widths), full_matrices=False)
+    inside = np.where(singular > 0.0, np.einsum("lri,lr->li", left, residuals), 0.0)
+    outside = residuals - np.einsum("lri,li->lr", left, inside)
+    freedom = np.maximum(samples - (singular > 0.0).sum(axis=1), 1)
+    level = np.maximum(np.sqrt((outside**2).sum(axis=1) / freedom), 1e-300)[:, None]
+    steps, known = np.abs(inside) / level, singular > level / UNINFORMED
+    firm = np.sqrt((np.where(known, steps, 0.0) ** 2).sum(axis=1) / np.maximum(known.sum(axis=1), 1))
+    reach = np.minimum(steps, singular / level)  # a walk ends at its best point or at the bounds
+    gainful = ~known & (steps * reach - 0.5 * reach**2 > 0.5)
+    return np.maximum(firm, np.where(gainful, steps, 0.0).max(axis=1, initial=0.0))
+
+
+def advance(batch: Batch, state: Searches, active: np.ndarray, level: int, bounds: np.ndarray) -> np.ndarray:
+    """One trial step of the active lanes; returns which of them are finished."""
+    factor = state.factor[active]
+    steps = steps_of(factor, state.damping[active], state.coordinates[active], bounds)
+    trial = state.coordinates[active] + steps
+    seen = evaluate(batch, trial, active, state.sigma[active], level)
+    for i in np.flatnonzero(~np.isfinite(seen.cost)):
+        state.failed[active[i]].append(trial[i])
+    moved = np.einsum("lri,li->lr", factor[:, :, :-1], steps)
+    predicted = -(factor[:, :, -1] * moved).sum(axis=1) - 0.5 * (moved**2).sum(axis=1)
+    better = np.isfinite(seen.cost) & (seen.cost < state.cost[active])
+    gained = np.where(better, state.cost[active] - np.where(better, seen.cost, 0.0), 0.0)
+    gain = gained / np.maximum(predicted, 1e-300)
+    accepted = active[better]
+    state.coordinates[accepted], state.cost[accepted] = trial[better], seen.cost[better]
+    state.simulated[accepted], state.factor[accepted] = seen.simulated[better], seen.factor[better]
+    # Nielsen's rule: damping follows the ratio of actual to predicted decrease (Nielsen, IMM-REP-1999-05).
+    shrink = np.maximum(1.0 / 3.0, 1.0 - (2.0 * np.minimum(gain, 1.0) - 1.0) ** 3)
+    state.damping[active] = np.maximum(
+        state.damping[active] * np.where(better, shrink, state.growth[active]), LEAST_DAMPING
+    )
+    state.growth[active] = np.where(better, 2.0, np.minimum(state.growth[active] * 2.0, 1e3))
+    state.iterations[active] += 1
+    tiny = np.all(np.abs(steps) < 1e-9 * (bounds[:, 1] - bounds[:, 0]), axis=1)
+    settled = np.zeros(active.size, bool)
+    settled[better] = (
+        offsets(state.factor[accepted], state.coordinates[accepted], bounds, samples_of(batch, accepted)) < OFFSET_GOAL
+    )
+    return tiny | settled | (state.damping[active] > MOST_DAMPING)
+
+
+def samples_of(batch: Batch, lanes) -> np.ndarray:
+    """How many samples count in each lane."""
+    return batch.used[lanes].sum(axis=(1, 2))
+
+
+def look_again(batch: Batch, state: Searches, lanes: np.ndarray, level: int, bounds: np.ndarray) -> np.ndarray:
+    """End points simulated again at another level of accuracy, with noise levels from the search so far.
+
+    Returns which lanes are not at the optimum of what is now seen.
+    """
+    sigma = batch.levels(state.simulated[lanes], lanes)
+    seen = evaluate(batch, state.coordinates[lanes], lanes, sigma, level)
+    good = np.isfinite(seen.cost)
+    kept, state.level[lanes] = lanes[good], level
+    state.sigma[kept], state.simulated[kept] = sigma[good], seen.simulated[good]
+    state.factor[kept], state.cost[kept] = seen.factor[good], seen.cost[good]
+    state.checked[lanes] = good
+    state.offset[kept] = offsets(seen.factor[good], state.coordinates[kept], bounds, samples_of(batch, kept))
+    state.damping[lanes], state.growth[lanes] = FIRST_DAMPING, 2.0
+    return kept[state.offset[kept] > CHECK_GOAL]
+
+
+def search(batch: Batch, state: Searches, max_iterations: int, say: Callable[[str, float], None]) -> None:
+    """Search in all lanes until finer steps no longer move the optimum, or the iterations are used up."""
+    bounds, active = bounds_of(batch), np.flatnonzero(state.alive)
+    for level in range(MOST_LEVELS):
+        stage = active
+        while active.size:
+            active = active[state.iterations[active] < max_iterations]
+            if active.size:
+                active = active[~advance(batch, state, active, level, bounds)]
+            share = 1.0 - active.size / batch.lanes
+            say(f"iteration {state.iterations.max()}, {active.size} fits under way ({batch.engine.name})", share)
+        active = look_again(batch, state, stage, level + 1, bounds) if stage.size else stage
+        for lane in active:
+            state.failed[lane].clear()  # finer steps may succeed
+
+
+class Verdict(NamedTuple):
+    """How a search ended: its status and why."""
+
+    status: str
+    message: str
+
+
+def judge(batch: Batch, state: Searches, lane: int, bounds: np.ndarray) -> Verdict:
+    """Status of an end point from its own gradient, bounds and a second look, not from the optimiser's word."""
+    if not state.alive[lane]:
+        return Verdict(
+            "failed", "the simulation fails at the start of the search, or a number of its own is not finite"
+        )
+    if not state.checked[lane]:
+        return Verdict("stalled", "the end point could not be simulated with finer steps")
+    offset = float(state.offset[lane])
+    if offset > OFFSET_LIMIT and not _is_exact(state, lane, bounds):
+        return Verdict("stalled", f"the search stopped before the optimum (relative offset {offset:.2g})")
+    distance = _nearest_failure(state, lane)
+    if distance < NEAR_FAILURE:
+        return Verdict("near_failure", f"simulations fail {distance:.2g} standard errors away")
+    x, factor = state.coordinates[[lane]], state.factor[[lane]]
+    stuck = on_bound(factor, x, bounds, 1e-6)[0]
+    if stuck.any():
+        names = ", ".join(f.label for f, at in zip(batch.free, stuck, strict=True) if at)
+        return Verdict("at_bound", f"the optimum lies on a bound: {names}")
+    return Verdict("converged", f"the remaining step is {offset:.1e} of a standard error")
+
+
+def _is_exact(state: Searches, lane: int, bounds: np.ndarray) -> bool:
+    """Whether the remaining step is nothing, as for data without noise, whose standard errors are nothing too."""
+    factor, widths = state.factor[lane], bounds[:, 1] - bounds[:, 0]
+    stuck = on_bound(state.factor[[lane]], state.coordinates[[lane]], bounds, 1e-6)[0]
+    step = np.linalg.lstsq(np.where(stuck, 0.0, factor[:, :-1] * widths), -factor[:, -1], rcond=1e-8)[0]
+    return bool(np.all(np.abs(step) < 1e-7))
+
+
+def _nearest_failure(state: Searches, lane: int) -> float:
+    """Distance to the nearest simulation that failed, in standard errors; infinite without any."""
+    if not state.failed[lane]:
+        return np.inf
+    away = np.array(state.failed[lane]) - state.coordinates[lane]
+    return float(np.linalg.norm(state.factor[lane][:, :-1] @ away.T, axis=0).min())
+
+
+def standard_deviations(batch: Batch, state: Searches, bounds: np.ndarray) -> np.ndarray:
+    """Standard deviations of the values in SI, shape (lanes, free); see `uncertainty.covariance`, here of all lanes."""
+    sd = np.full(state.coordinates.shape, np.nan)
+    lanes, widths = np.flatnonzero(state.alive), bounds[:, 1] - bounds[:, 0]
+    singular, right = np.linalg.svd(state.factor[lanes, :, :-1] * widths, full_matrices=False)[1:]
+    known = singular > 1.0 / UNINFORMED
+    variances = np.where(known, 1.0 / np.where(known, singular, 1.0) ** 2, UNINFORMED**2)
+    spread = np.sqrt(((right * widths) ** 2 * variances[..., None]).sum(axis=1))
+    values = batch.to_values(state.coordinates[lanes])
+    sd[lanes] = spread * np.stack([f.slope(values[:, i]) for i, f in enumerate(batch.free)], axis=1)
+    return sd
