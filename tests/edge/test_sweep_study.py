@@ -208,7 +208,7 @@ def test_an_interrupted_command_leaves_a_store_to_resume(tmp_path):
     line = [sys.executable, "-m", "jaxlines.edge.main", "sweep", str(write(tmp_path)), "--out", str(out)]
     options = ["--count", "200000", "--chunk", "512"]
     with subprocess.Popen([*line, *options], stderr=subprocess.PIPE, text=True, env=os.environ) as process:
-        while not list(out.glob("*/chunks/*.parquet")):
+        while not list(out.glob("*/chunks/0*.parquet")):
             assert process.poll() is None
             time.sleep(0.05)
         process.send_signal(signal.SIGINT)

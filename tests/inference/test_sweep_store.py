@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from jaxlines.inference import sweep_claims, sweep_store
-from jaxlines.inference.samplers import LatinHypercube, MonteCarlo, Sobol
+from jaxlines.inference.samplers import Grid, LatinHypercube, MonteCarlo, Sobol
 from jaxlines.inference.sweep import run_sweep
 from jaxlines.inference.sweep_claims import Claims
 from jaxlines.inference.sweep_collect import collect
@@ -92,6 +92,12 @@ def test_a_latin_hypercube_cannot_be_extended(tmp_path):
     run_sweep(dataclasses.replace(SIMPLE, sampler=LatinHypercube(0, 50)), store=tmp_path)
     with pytest.raises(ChangedPlan, match="LatinHypercube sweep, which cannot be extended"):
         run_sweep(dataclasses.replace(SIMPLE, sampler=LatinHypercube(0, 60)), store=tmp_path, resume=True)
+
+
+def test_a_grid_cannot_be_extended(tmp_path):
+    run_sweep(dataclasses.replace(SIMPLE, sampler=Grid((2, 3, 2))), store=tmp_path)
+    with pytest.raises(ChangedPlan, match="Grid sweep, which cannot be extended"):
+        run_sweep(dataclasses.replace(SIMPLE, sampler=Grid((2, 4, 2))), store=tmp_path, resume=True)
 
 
 def test_shards_make_one_table(tmp_path):

@@ -2,6 +2,8 @@
 
 import contextlib
 import signal
+import sys
+import time
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,6 +14,7 @@ from typer.core import TyperGroup
 
 TOO_MANY_FAILED = 3
 STOPPED = 4
+LINE_SECONDS = 10.0
 
 StudyFile = Annotated[str, typer.Argument(metavar="STUDY", help="A study file (TOML) with a table [sweep].")]
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder that was given as --out.")]
@@ -110,6 +113,7 @@ def _run(study: str, out: Path, count: int | None, options: dict[str, Any], max_
     make_folder(out)
     with progress(quiet) as say:
         say("preparing", 0.0)
+        report = _reporter(say, quiet)
         result = run_sweep(
             loaded.plan,
             loaded.count,
@@ -117,10 +121,25 @@ def _run(study: str, out: Path, count: int | None, options: dict[str, Any], max_
             thresholds=loaded.thresholds,
             quantiles=loaded.quantiles,
             title=loaded.study.title,
-            progress=lambda p: say(f"computing, {p}", p.done / p.count),
+            progress=report,
             **options,
         )
     _show(result, loaded.study.title, max_failed)
+
+
+def _reporter(say, quiet: bool):
+    """A function of a `Progress`: into the bar on a terminal, a line every ten seconds elsewhere."""
+    last = 0.0
+
+    def report(progress) -> None:
+        nonlocal last
+        if sys.stderr.isatty():
+            say(str(progress), progress.done / progress.count)
+        elif not quiet and time.monotonic() > last + LINE_SECONDS:
+            last = time.monotonic()
+            typer.echo(str(progress), err=True)
+
+    return report
 
 
 def _show(result, title: str, max_failed: float) -> None:

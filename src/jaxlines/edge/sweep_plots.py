@@ -57,6 +57,9 @@ def plot_sensitivity(sensitivity: Sensitivity, unit: str = "1", axes=None, most:
     if sensitivity.method == "tornado":
         low, high = sensitivity.measures["low"][order], sensitivity.measures["high"][order]
         label, factor = readable_unit(unit, _largest([*low, *high]))
+        middles = 0.5 * (low + high)
+        if np.isfinite(middles).any():
+            axes.axvline(float(np.nanmean(middles)) * factor, color=MEASURED, lw=1.0)
         axes.barh(place, (high - low) * factor, left=low * factor, color=SIMULATED, height=0.6)
         axes.set(xlabel=f"mean where the number is in its lowest to its highest tenth [{label or '-'}]")
     else:

@@ -81,7 +81,7 @@ class CircuitModel(AbstractModel):
 
     def prepare(self, pilot: dict[str, np.ndarray], fixed: dict | None = None) -> "CircuitProgram":
         """The ensemble program; engine, steps and calibration of errors from the pilot lanes, or as `fixed` says."""
-        lanes: dict[Paths, Any] = dict(pilot)
+        lanes: dict[Paths, Any] = {**pilot}
         engine, steps, audit = self.engine, None, 8
         if fixed is not None:
             engine, steps, audit = fixed["engine"], fixed["steps"] or None, 0
@@ -122,7 +122,7 @@ class CircuitProgram:
 
     def _derivatives(self, varied: dict[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]]:
         """Reduction -> path -> exact derivatives, shape (lanes,)."""
-        lanes: dict[Paths, Any] = dict(varied)
+        lanes: dict[Paths, Any] = {**varied}
         return ensemble_jacobian(self.program, lanes, chunk=DERIVATIVE_LANES).reduction_slopes
 
 

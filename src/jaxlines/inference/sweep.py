@@ -107,7 +107,7 @@ def _check_shard(shard: tuple[int, int]) -> None:
 def _opened(root: Path, plan: SweepPlan, resume: bool, allow_changes: bool, chunk: int) -> SweepStore:
     """The store of a plan, when it may be used."""
     own, others = root / plan.hash(), [path for path in stores_in(root) if path.name != plan.hash()]
-    if own.is_dir() and not resume and any((own / "chunks").glob("*.parquet")):
+    if own.is_dir() and not resume and any((own / "chunks").glob("[0-9]*.parquet")):
         raise FileExistsError(f"{own} has lanes of this sweep already: resume it (resume=True, --resume)")
     if resume and not (own / "plan.json").is_file() and others and not allow_changes:
         before = SweepStore(others[-1])
@@ -126,9 +126,9 @@ def _opened(root: Path, plan: SweepPlan, resume: bool, allow_changes: bool, chun
 
 
 def _same_but_count(before: dict, now: dict) -> bool:
-    """Whether two identities differ in the sampler's count only."""
-    sampler = {**now["sampler"], "count": before["sampler"].get("count")}
-    return before == json.loads(json.dumps({**now, "sampler": sampler}))
+    """Whether two identities differ in the number of lanes of the same sampler only."""
+    own = {key: value for key, value in before["sampler"].items() if key in ("count", "levels")}
+    return before == json.loads(json.dumps({**now, "sampler": {**now["sampler"], **own}}))
 
 
 def _differences(before: Any, now: Any, place: str = ""):

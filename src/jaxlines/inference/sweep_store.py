@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxlines.inference.statistics import QUANTILES
 from jaxlines.inference.sweep_claims import Claims
 from jaxlines.inference.sweep_plan import SweepPlan
 
@@ -140,7 +141,10 @@ class SweepStore:
 
     def asked(self) -> dict:
         """What the statistics are to say: thresholds of reductions, quantiles, title of the report."""
-        return json.loads((self.folder / "asked.json").read_text(encoding="utf-8"))
+        path = self.folder / "asked.json"
+        if not path.exists():  # its first run died at once
+            return {"thresholds": {}, "quantiles": list(QUANTILES), "title": self.content["hash"]}
+        return json.loads(path.read_text(encoding="utf-8"))
 
     # What is there
 

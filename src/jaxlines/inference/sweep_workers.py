@@ -4,6 +4,7 @@ import contextlib
 import functools
 import json
 import pickle
+import signal
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -236,8 +237,13 @@ def _local(workers: int) -> Engine:
     if workers == 1:
         executor = ThreadPoolExecutor(2, "sweep")
         return Engine(executor, 4, lambda: executor.shutdown(cancel_futures=True))
-    executor = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"))
+    executor = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _leave_interrupts)
     return Engine(executor, 2 * workers, lambda: executor.shutdown(cancel_futures=True))
+
+
+def _leave_interrupts() -> None:
+    """Ctrl-C reaches all processes of a terminal: the first one ends the others."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _dask(address: str, workers: int, timeout: float) -> Engine:
