@@ -15,6 +15,7 @@ from jaxlines.inference.sweep_plan import SweepPlan
 from jaxlines.inference.sweep_store import SweepStore
 from tests.inference.sweep_cases import ANGLES, Analytic
 
+SLOW = pytest.mark.slow
 MODEL = dataclasses.replace(Analytic("ishigami", ("a", "b", "c"), outputs=("wave",)), fails_below=-2.9)
 
 
@@ -23,9 +24,9 @@ MODEL = dataclasses.replace(Analytic("ishigami", ("a", "b", "c"), outputs=("wave
     [
         (Sobol(), 5, ["Worst lanes", "y [Pa]"]),
         (Sobol(), 256, ["whatever the failed lanes give", "lowest to its highest tenth", "non_finite"]),
-        (SobolIndices(), 5 * 64, ["Sobol: total", "lanes of one block share numbers"]),
-        (Morris(), 4 * 20, ["Morris: mu star", "no sample of the distributions"]),
-        (ShapleyEffects(), 4 * 40, ["Shapley: share"]),
+        pytest.param(SobolIndices(), 5 * 64, ["Sobol: total", "lanes of one block share numbers"], marks=SLOW),
+        pytest.param(Morris(), 4 * 20, ["Morris: mu star", "no sample of the distributions"], marks=SLOW),
+        pytest.param(ShapleyEffects(), 4 * 40, ["Shapley: share"], marks=SLOW),
     ],
     ids=["few", "sobol", "indices", "morris", "shapley"],
 )

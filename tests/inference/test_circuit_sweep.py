@@ -129,6 +129,7 @@ def test_a_table_is_run_row_by_row():
     assert isinstance(circuit_plan(CIRCUIT, TIMES, NUMBERS, **GIVEN).sampler, Sobol)
 
 
+@pytest.mark.slow
 def test_exact_derivatives_are_those_of_central_differences(plan):
     """By the chain rule to the normal scores, against differences of the table's own function."""
     exact = dataclasses.replace(plan, derivatives=True, kept_series=0)
