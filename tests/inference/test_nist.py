@@ -66,7 +66,7 @@ MODELS = {
     "Roszman1": lambda b, x: b[0] - b[1] * x - jnp.arctan(b[2] / (x - b[3])) / math.pi,
     "Thurber": lambda b, x: _ratio(b, x, 4, 3),
 }
-QUICK = ("Misra1a", "Nelson", "MGH17", "MGH09", "Thurber", "Bennett5")
+QUICK = ("Nelson", "MGH17", "MGH09", "Thurber")
 
 
 def problem_of(name: str) -> FunctionProblem:

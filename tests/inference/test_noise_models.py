@@ -77,6 +77,7 @@ def test_the_rule_takes_white_noise_for_white():
     assert found.factor == pytest.approx(stats.t.ppf(0.975, 197), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_intervals_under_autoregressive_noise_cover_where_plain_ones_do_not():
     """120 data sets: the 99.9 % band of a binomial of 95 % is 105 to 120; plain ones miss half the time."""
     rng = np.random.default_rng(2)

@@ -1,164 +1,23 @@
-"""Nonlinear least squares of any model: what a problem is, one made of a JAX function, and a search that is checked."""
+"""Nonlinear least squares of any model (see `least_squares_problem`): a search that is checked, from many starts."""
 
-import abc
 import dataclasses
-import functools
-from collections.abc import Callable, Sequence
-from typing import Protocol, runtime_checkable
+from collections.abc import Sequence
 
 import numpy as np
 
-from jaxlines.simulation.precision import computing_in
+from jaxlines.inference.least_squares_problem import (
+    AbstractRewritten as AbstractRewritten,
+    FunctionProblem as FunctionProblem,
+    LeastSquaresProblem as LeastSquaresProblem,
+)
 
 OFFSET_LIMIT = 0.01
 """Relative offset below which a search counts as converged (Bates and Watts, Technometrics 23, 1981)."""
 
+OFFSET_GOAL = 1e-6
+"""Relative offset at which the trust region stops: a millionth of a standard error is left to gain."""
+
 STATUSES = ("converged", "at_bound", "stalled", "failed")
-
-
-@runtime_checkable
-class LeastSquaresProblem(Protocol):
-    """Half the sum of squares of weighted rows r(x), to be minimised over lower <= x <= upper.
-
-    labels: names of the parameters; lower, upper: bounds of the coordinates x, infinite where there are none;
-    recording, channel, time: integers of shape (rows,) that say where a row comes from, recording -1 for the row of a
-    prior. residuals: (simulated - measured)/sigma, shape (rows,), NaN where the model fails; jacobian: their slopes by
-    the coordinates, shape (rows, parameters).
-    """
-
-    @property
-    def labels(self) -> tuple[str, ...]: ...
-    @property
-    def lower(self) -> np.ndarray: ...
-    @property
-    def upper(self) -> np.ndarray: ...
-    @property
-    def recording(self) -> np.ndarray: ...
-    @property
-    def channel(self) -> np.ndarray: ...
-    @property
-    def time(self) -> np.ndarray: ...
-    def residuals(self, x) -> np.ndarray:
-        """Weighted rows at x."""
-        ...
-
-    def jacobian(self, x) -> np.ndarray:
-        """Their slopes by x."""
-        ...
-
-
-@dataclasses.dataclass(frozen=True)
-class FunctionProblem:
-    """A least-squares problem of a function written in JAX, so that a model of any kind can be fitted.
-
-    Args:
-        function: x -> weighted residuals, shape (parameters,) -> (rows,), traceable and differentiable forward.
-        labels: names of the parameters; lower, upper: their bounds, unbounded by default.
-        recording, channel, time: where rows come from; one recording, one channel, rows in order by default.
-    """
-
-    function: Callable
-    labels: tuple[str, ...]
-    lower: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0))
-    upper: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0))
-    recording: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=int))
-    channel: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=int))
-    time: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=int))
-
-    def __post_init__(self):
-        count = len(self.labels)
-        object.__setattr__(self, "labels", tuple(self.labels))
-        for name, default in (("lower", -np.inf), ("upper", np.inf)):
-            given = np.asarray(getattr(self, name), dtype=float)
-            object.__setattr__(self, name, given if given.size else np.full(count, default))
-        if self.lower.shape != (count,) or self.upper.shape != (count,) or not np.all(self.lower < self.upper):
-            raise ValueError(
-                f"bounds need one increasing pair for each of {count} parameters, got {self.lower} and {self.upper}"
-            )
-        rows = self._num_rows()
-        for name, default in (("recording", np.zeros), ("channel", np.zeros), ("time", np.arange)):
-            given = np.asarray(getattr(self, name), dtype=int)
-            object.__setattr__(self, name, given if given.size else default(rows).astype(int))
-            if getattr(self, name).shape != (rows,):
-                raise ValueError(f"{name} needs one integer for each of {rows} rows, got {given.shape}")
-
-    def _num_rows(self) -> int:
-        import jax
-
-        with computing_in("float64"):
-            shape = jax.eval_shape(self.function, jax.ShapeDtypeStruct((len(self.labels),), np.float64)).shape
-        if len(shape) != 1:
-            raise ValueError(f"the function must return one axis of residuals, got shape {shape}: ravel them")
-        return shape[0]
-
-    @functools.cached_property
-    def _programs(self) -> tuple[Callable, Callable, Callable]:
-        import jax
-
-        slopes = jax.jacfwd(self.function)
-        gradient = lambda x: slopes(x).T @ self.function(x)  # noqa: E731
-        return jax.jit(self.function), jax.jit(slopes), jax.jit(jax.jacfwd(gradient))
-
-    def _run(self, which: int, x) -> np.ndarray:
-        with computing_in("float64"):
-            return np.asarray(self._programs[which](np.asarray(x, dtype=float)))
-
-    def residuals(self, x) -> np.ndarray:
-        """Weighted residuals at x, shape (rows,)."""
-        return self._run(0, x)
-
-    def jacobian(self, x) -> np.ndarray:
-        """Their exact slopes by x, shape (rows, parameters)."""
-        return self._run(1, x)
-
-    def hessian(self, x) -> np.ndarray:
-        """Exact second derivatives of half the sum of squares, shape (parameters, parameters)."""
-        return self._run(2, x)
-
-
-@dataclasses.dataclass(frozen=True)
-class AbstractRewritten(abc.ABC):
-    """A problem with the parameters, bounds and origins of rows of another one, `plain`, but rows of its own."""
-
-    plain: LeastSquaresProblem
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Names of the parameters."""
-        return self.plain.labels
-
-    @property
-    def lower(self) -> np.ndarray:
-        """Lower bounds of the coordinates."""
-        return self.plain.lower
-
-    @property
-    def upper(self) -> np.ndarray:
-        """Upper bounds of the coordinates."""
-        return self.plain.upper
-
-    @property
-    def recording(self) -> np.ndarray:
-        """Recording of a row, -1 for priors."""
-        return self.plain.recording
-
-    @property
-    def channel(self) -> np.ndarray:
-        """Channel of a row."""
-        return self.plain.channel
-
-    @property
-    def time(self) -> np.ndarray:
-        """Sample of a row."""
-        return self.plain.time
-
-    @abc.abstractmethod
-    def residuals(self, x) -> np.ndarray:
-        """Weighted rows, shape (rows,)."""
-
-    @abc.abstractmethod
-    def jacobian(self, x) -> np.ndarray:
-        """Their slopes by the coordinates, shape (rows, parameters)."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -225,20 +84,63 @@ def _judge(problem, x, residuals, jacobian, word: str) -> tuple[str, str]:
     return "converged", f"the remaining step is {offset:.1e} of a standard error"
 
 
+class _Watched:
+    """The rows and slopes that a search sees, and whether it may stop: less than OFFSET_GOAL is left to gain.
+
+    It sees z = (x - shift)/scale, 0..1 between finite bounds: SciPy takes a start within 1e-10 of a bound, in whatever
+    unit, for one on it and moves it, which would be fatal to a conductance of 1e-12 m^3/(s Pa).
+    """
+
+    def __init__(self, problem: LeastSquaresProblem, method: str):
+        self.problem, self.method = problem, method
+        finite = np.isfinite(problem.upper - problem.lower)
+        self.shift = np.where(finite, problem.lower, 0.0)
+        self.scale = np.where(finite, problem.upper - problem.lower, 1.0)
+        self.last, self.rows, self.settled = np.zeros(0), np.zeros(0), False
+
+    def x(self, z) -> np.ndarray:
+        """Coordinates of the problem."""
+        return np.clip(self.shift + self.scale * z, self.problem.lower, self.problem.upper)
+
+    def z(self, x) -> np.ndarray:
+        """What the search sees of them."""
+        return (x - self.shift) / self.scale
+
+    def _finite(self, rows) -> np.ndarray:
+        """Rows that make a search turn back where the model fails."""
+        return rows if self.method == "trf" else np.where(np.isfinite(rows), rows, 1e100)
+
+    def residuals(self, z) -> np.ndarray:
+        """Rows at z."""
+        self.last, self.rows = np.array(z), self._finite(self.problem.residuals(self.x(z)))
+        return self.rows
+
+    def jacobian(self, z) -> np.ndarray:
+        """Slopes at z; a search asks for them where it has just asked for rows."""
+        slopes = self._finite(self.problem.jacobian(self.x(z)))
+        if np.array_equal(z, self.last) and np.all(np.isfinite(slopes)):
+            free = ~stuck_at_bounds(self.problem, self.x(z), slopes.T @ self.rows)
+            self.settled = relative_offset(slopes[:, free], self.rows) < OFFSET_GOAL
+        return slopes * self.scale
+
+    def stop(self, intermediate_result) -> None:
+        """Callback of the trust-region search."""
+        del intermediate_result
+        if self.settled:
+            raise StopIteration
+
+
 def _attempt(problem, start, method: str, max_evaluations: int, tolerance: float):
-    """One run of SciPy's search; x and the optimiser's word."""
+    """One run of SciPy's search; x, the optimiser's word and its number of evaluations."""
     from scipy.optimize import least_squares
 
-    def finite(rows):
-        """Rows that make a search turn back where the model fails."""
-        return rows if method == "trf" else np.where(np.isfinite(rows), rows, 1e100)
-
-    bounds = (problem.lower, problem.upper) if method == "trf" else (-np.inf, np.inf)
+    seen = _Watched(problem, method)
+    bounds = (seen.z(problem.lower), seen.z(problem.upper)) if method == "trf" else (-np.inf, np.inf)
     with np.errstate(over="ignore", invalid="ignore"):
         found = least_squares(
-            lambda x: finite(problem.residuals(x)),
-            start,
-            jac=lambda x: finite(problem.jacobian(x)),  # pyright: ignore[reportArgumentType]
+            seen.residuals,
+            seen.z(start),
+            jac=seen.jacobian,  # pyright: ignore[reportArgumentType]
             method=method,  # pyright: ignore[reportArgumentType]
             bounds=bounds,
             x_scale="jac",
@@ -246,8 +148,9 @@ def _attempt(problem, start, method: str, max_evaluations: int, tolerance: float
             xtol=tolerance,
             gtol=tolerance,
             max_nfev=max_evaluations,
+            callback=seen.stop if method == "trf" else None,
         )
-    return found.x, found.message, found.nfev
+    return seen.x(found.x), found.message, found.nfev
 
 
 def _inside(problem, start) -> np.ndarray:

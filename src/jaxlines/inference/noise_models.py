@@ -153,7 +153,7 @@ def channel_noise(problem: LeastSquaresProblem, residuals, max_order: int = 12) 
 
 
 def solve_with_autoregression(
-    problem: LeastSquaresProblem, solution: Solution, *, max_order: int = 12, rounds: int = 3
+    problem: LeastSquaresProblem, solution: Solution, *, max_order: int = 12, rounds: int = 3, tolerance: float = 1e-9
 ) -> tuple[Whitened, Solution]:
     """Fit again with autoregressive noise: noise models from residuals, whitened fit, a few rounds.
 
@@ -164,8 +164,8 @@ def solve_with_autoregression(
     whitened = Whitened(problem, channel_noise(problem, residuals, max_order))
     for _ in range(rounds):
         whitened = Whitened(problem, channel_noise(problem, residuals, max_order))
-        before, end = end.x, solve(whitened, end.x)
+        before, end = end.x, solve(whitened, end.x, tolerance=tolerance)
         residuals = problem.residuals(end.x)
-        if np.allclose(end.x, before, rtol=1e-8, atol=0.0):
+        if np.allclose(end.x, before, rtol=1e-7, atol=0.0):
             break
     return whitened, end

@@ -15,7 +15,7 @@ ITERATIONS = 100
 UNSEEN = 1e-10
 """Singular values of the scaled Jacobian below this part of the largest count as none."""
 
-SETTLED, AT_LIMIT, PARALLEL = 1e-7, 1e-3, 2e-2
+SETTLED, AT_LIMIT, PARALLEL = 1e-5, 1e-3, 2e-2
 """When a search for an end point stops; how close to the limit its cost, and to parallel the slopes, must be."""
 
 
@@ -147,8 +147,9 @@ def end_point(
 ) -> EndPoint:
     """How far a quantity goes in one direction while the cost stays within its limit and x within its bounds.
 
-    A sequence of linear steps, each the exact answer for the linearised rows and quantity; a step that neither lowers
-    the merit, -sign * quantity + penalty * excess cost, nor halves the excess is shortened. On a linear model the first step is exact.
+    A sequence of linear steps, each the exact answer for the linearised rows and quantity; a step is shortened that
+    neither lowers the merit, -sign * quantity + penalty * excess cost, nor halves the excess. On a linear model the
+    first step is exact.
 
     Args: quantity: x -> (value, slopes by x); sign: +1 for the upper end, -1 for the lower.
     Reference: compare Venzon and Moolgavkar, Applied Statistics 37, 1988; Neale and Miller, Behavior Genetics 27, 1997.
