@@ -85,3 +85,13 @@ def test_a_study_without_a_fit_is_checked_too(tmp_path):
     path.write_text(text[: text.index("[recording]")] + text[text.index("[simulate]") :])
     topics = {finding.topic for finding in check_study(load_study(path))}
     assert topics == {"validity"}
+
+
+@pytest.mark.slow
+def test_a_swapped_unit_is_found_beside_the_model(tmp_path):
+    """Pressures in bar that are read as psi: the model moves 14.5 times as much."""
+    path = write_study(tmp_path, ("p_line [bar_g]", "p_line [psi_g]"))
+    table = (tmp_path / "line.csv").read_text()
+    (tmp_path / "line.csv").write_text(table.replace("p_line [bar_g]", "p_line [psi_g]"))
+    found = [f for f in check_study(load_study(path), points=1) if f.topic == "recordings"]
+    assert found and any("psi" in finding.text for finding in found)

@@ -16,6 +16,7 @@ from jaxlines.inference.loss import Loss
 from jaxlines.inference.parameter_checks import number_metadata
 from jaxlines.inference.parameters import Free
 from jaxlines.inference.recording import Recording
+from jaxlines.inference.recording_faults import find_faults
 from jaxlines.inference.uncertainty import covariance, describe_correlations, describe_open_directions
 from jaxlines.simulation.integration import make_method
 
@@ -66,8 +67,7 @@ class _Local:
 
 def _recordings(study: Study) -> list[Recording]:
     """The recordings of a study."""
-    found = getattr(study, "recordings", None) or ([study.recording] if study.recording is not None else [])
-    return list(found)
+    return list(study.recordings) or ([study.recording] if study.recording is not None else [])
 
 
 def _local(study: Study) -> _Local:
@@ -75,7 +75,7 @@ def _local(study: Study) -> _Local:
     options = dict(study.numerics)
     method = make_method(options.get("solver"), "forward", options["max_steps"])
     numerics = Numerics(method, options["tolerance"], options["precision"], "linear")
-    given = (study.free, study.known, dict(study.noise), study.initial)
+    given = (study.free, study.known, dict(study.noise), "steady" if study.steady else study.initial)
     setup = make_setup(study.circuit, named_recordings(_recordings(study)), *given, Loss("gauss", None), {}, numerics)
     return _Local(setup.problem, setup.problem.recording >= 0)
 
@@ -199,6 +199,17 @@ def _gradients(local: _Local, start: np.ndarray, jacobian: np.ndarray) -> list[F
     return [Finding("gradients", DOUBT, text)]
 
 
+def _faults(local: _Local, start: np.ndarray) -> list[Finding]:
+    """What looks wrong with the recordings beside a simulation at the start: swapped units, dead channels."""
+    found, problem = [], local.problem
+    for trial, simulated in zip(problem.trials, problem.predict(problem.to_values(start)), strict=True):
+        shown = {name: simulated[:, i] for i, name in enumerate(trial.wanted)}
+        for fault in find_faults(trial.recording, shown, dict(zip(trial.wanted, trial.units, strict=True))):
+            if fault.kind != "gap" or not any("gap of" in said for said in trial.recording.warnings):
+                found.append(Finding("recordings", STOP if fault.grave else DOUBT, fault.text))
+    return found
+
+
 def _run_time(study: Study, compiling: float, evaluation: float) -> Finding:
     """What a fit will take here, from one timed evaluation."""
     starts = int(study.fit_options.get("starts", 1))
@@ -228,7 +239,7 @@ def _check_fit(study: Study, points: int, seed: int, say: Say) -> list[Finding]:
     local.jacobian(start)
     evaluation = time.perf_counter() - began
     say("identifiability", 0.6)
-    found = _identifiability(local, jacobian, points, seed)
+    found = [*_faults(local, start), *_identifiability(local, jacobian, points, seed)]
     say("gradients", 0.8)
     found += _gradients(local, start, jacobian)
     return [*found, _run_time(study, max(compiling - evaluation, 0.0), evaluation)]
