@@ -64,8 +64,8 @@ def _gradient_chunk(program: LaneProgram, objective: Callable, steps: int, value
         value = objective(grid[:, -1], {name: outputs[:, i] for i, name in enumerate(program.observed)})
         if jnp.shape(value) != outputs.shape[-1:]:
             raise ValueError(
-                f"the objective must give one number for each lane, shape {outputs.shape[-1:]}, got {jnp.shape(value)}: "
-                "series have the shape (samples, lanes), sum over axis 0"
+                f"the objective must give one number for each lane, shape {outputs.shape[-1:]}, got "
+                f"{jnp.shape(value)}: series have the shape (samples, lanes), sum over axis 0"
             )
         return jnp.sum(value), value
 

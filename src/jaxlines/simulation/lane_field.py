@@ -14,7 +14,8 @@ import numpy as np
 
 from jaxlines.physics.component import DOMAINS
 from jaxlines.simulation.assembly import Location
-from jaxlines.simulation.expression import Graph, Node, boundary, evaluate
+from jaxlines.simulation.evaluation import boundary, evaluate
+from jaxlines.simulation.expression import Graph, Node
 from jaxlines.simulation.lane_signals import LaneSignals, every_signal, tagged, with_numbers
 from jaxlines.simulation.observation import observe
 from jaxlines.simulation.plan import Plan, Values

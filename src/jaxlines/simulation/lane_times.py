@@ -1,5 +1,7 @@
 """The times at which lanes in step stop: where they are saved, and where inputs jump or bend."""
 
+import itertools
+
 import numpy as np
 
 from jaxlines.simulation.plan import Values
@@ -21,7 +23,7 @@ def step_grid(times, stops) -> np.ndarray:
     """
     times = np.asarray(times, dtype=float)
     least = 1e-9 * np.diff(times).min()
-    inner = [stops[(stops > a + least) & (stops < b - least)] for a, b in zip(times[:-1], times[1:], strict=True)]
+    inner = [stops[(stops > a + least) & (stops < b - least)] for a, b in itertools.pairwise(times)]
     pieces = 1 + max(len(x) for x in inner)
     rows = [np.full(pieces + 1, times[0])]
     for a, b, x in zip(times[:-1], times[1:], inner, strict=True):

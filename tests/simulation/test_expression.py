@@ -1,0 +1,138 @@
+"""Functions taken apart into single numbers: the same values and derivatives as JAX, on lanes of numbers."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxlines.simulation.evaluation import boundary, evaluate
+from jaxlines.simulation.expression import Graph
+from jaxlines.simulation.fast_math import log
+from tests.physics.test_components import OILS, PARTS, oils_for, results, situation
+
+LANES = 2
+
+
+@pytest.fixture(autouse=True)
+def float64():
+    with jax.enable_x64(True):
+        yield
+
+
+def on_lanes(function, arguments: list[np.ndarray], direction: list[np.ndarray] | None = None):
+    """A function of arrays evaluated through a graph; arguments and results have an axis of lanes at the end."""
+    graph, known, nodes = Graph(), {}, []
+    for k, argument in enumerate(arguments):
+        block = np.empty(argument.shape[:-1], dtype=object)
+        for index in np.ndindex(block.shape):
+            block[index] = graph.input((k, index), argument.dtype, True)
+            known[block[index]] = jnp.asarray(argument[index])
+        nodes.append(block)
+    shapes = [jax.ShapeDtypeStruct(a.shape[:-1], a.dtype) for a in arguments]
+    if direction is None:
+        found = graph.outputs(jax.make_jaxpr(function)(*shapes), *nodes)
+    else:
+        pushed = jax.make_jaxpr(lambda p, d: jax.jvp(function, p, d)[1])(tuple(shapes), tuple(shapes))
+        found = graph.outputs(pushed, *nodes, *map(graph.constants, direction))
+    return [
+        np.stack([np.broadcast_to(v, LANES) for v in evaluate(list(array.ravel()), known)]).reshape(*array.shape, LANES)
+        for array in found
+        if array.size
+    ]
+
+
+def lane_by_lane(function, arguments, direction=None):
+    """The same by JAX, one lane after the other."""
+
+    def one(lane):
+        given = tuple(a[..., lane] for a in arguments)
+        return function(*given) if direction is None else jax.jvp(function, given, tuple(direction))[1]
+
+    rows = [[r for r in jax.tree.leaves(one(lane)) if r.size] for lane in range(LANES)]
+    return [np.stack(row, axis=-1) for row in zip(*rows, strict=True)]
+
+
+def gather(x, y):
+    return jnp.concatenate([x[jnp.array([2, 0])], y[:1]]) * jnp.stack([y[1], x[1], x[2]])
+
+
+def branches(x, y):
+    return jnp.where(x > 0.5, jnp.tanh(x), y[0] * x), jnp.max(x), jnp.sum(x * x), jnp.prod(y)
+
+
+def roots(x, y):
+    return y[0] / jnp.sqrt(x), x[0] / jnp.sqrt(jnp.sqrt(1.0 + y * y)), jax.lax.rsqrt(x), 0.0 * x + 1.0 * y[0]
+
+
+def tables(x, y):
+    return jnp.interp(x, jnp.array([0.0, 0.5, 2.0]), jnp.array([1.0, 3.0, 2.0])), jnp.asarray(y).at[1].set(x[0]), jnp.sort(x)
+
+
+def linear(x, y):
+    return jnp.array([[1.0, 2.0, 0.0], [0.5, 0.0, 1.0]]) @ x, jax.lax.fori_loop(0, 3, lambda i, a: a * x[0], y)
+
+
+@pytest.mark.parametrize("function", [gather, branches, roots, tables, linear])
+def test_operations(function):
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(0.1, 1.5, (3, LANES)), rng.uniform(0.1, 1.5, (2, LANES))
+
+    def flat(x, y):
+        return jax.tree.leaves(function(x, y))
+
+    for found, exact in zip(on_lanes(flat, [x, y]), lane_by_lane(flat, [x, y]), strict=True):
+        np.testing.assert_allclose(found, exact, rtol=1e-13, atol=1e-15)
+    direction = [np.array([1.0, 0.0, -2.0]), np.array([0.0, 1.0])]
+    pushed = on_lanes(flat, [x, y], direction)
+    for found, exact in zip(pushed, lane_by_lane(flat, [x, y], direction), strict=True):
+        np.testing.assert_allclose(found, exact, rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_every_component(name):
+    """Contributions and their derivatives in the potentials at three points."""
+    part = PARTS[name]
+    oil = OILS[oils_for(part)[0]]
+    points = [situation(part, oil, point) for point in ("generic", "saturated")]
+    leaves, structure = jax.tree.flatten(points[0])
+    lanes = [np.stack(row, axis=-1) for row in zip(*(jax.tree.leaves(p) for p in points), strict=True)]
+
+    def contributions(*leaves):
+        return jax.tree.leaves(results(part, jax.tree.unflatten(structure, leaves)))
+
+    for found, exact in zip(on_lanes(contributions, lanes), lane_by_lane(contributions, lanes), strict=True):
+        np.testing.assert_allclose(found, exact, rtol=1e-11, atol=1e-300)
+    direction = [np.full(np.shape(leaf), 0.5) for leaf in leaves]
+    pushed = on_lanes(contributions, lanes, direction)
+    for found, exact in zip(pushed, lane_by_lane(contributions, lanes, direction), strict=True):
+        np.testing.assert_allclose(found, exact, rtol=1e-9, atol=1e-12 * np.abs(exact).max(initial=1e-30))
+
+
+def test_structural_zeros_and_what_does_not_move():
+    """A derivative keeps only what depends on the direction; what does not change in time is told apart."""
+    graph = Graph()
+    fixed, moving = graph.input(("column", 0), np.float64, False), graph.input("y", np.float64, True)
+    jaxpr = jax.make_jaxpr(lambda a, y: jnp.exp(a) / (1.0 + a) * y)(0.5, 0.5)
+    (found,) = graph.outputs(jaxpr, np.array(fixed, dtype=object), np.array(moving, dtype=object))
+    once = boundary([found.item()])
+    assert len(once) == 1 and not once[0].moving  # exp(a)/(1 + a), in one array
+    value = evaluate([found.item()], {moving: jnp.asarray(2.0)} | dict(zip(once, evaluate(once, {fixed: 0.5}))))
+    np.testing.assert_allclose(value[0], np.exp(0.5) / 1.5 * 2.0)
+    pushed = jax.make_jaxpr(lambda a, y, da, dy: jax.jvp(lambda a, y: a * a + y, (a, y), (da, dy))[1])(*[0.5] * 4)
+    one = [np.array(graph.constant(x, np.float64), dtype=object) for x in (0.0, 1.0)]
+    (slope,) = graph.outputs(pushed, np.array(fixed, dtype=object), np.array(moving, dtype=object), *one)
+    assert slope.item().is_constant(1.0)
+
+
+def test_logarithm():
+    rng = np.random.default_rng(0)
+    x = np.concatenate([rng.uniform(0.5, 2.0, 2000), 10.0 ** rng.uniform(-300, 300, 2000), [1.0, 1.0 + 1e-12, 5e-324]])
+    with np.errstate(divide="ignore"):
+        exact = np.log(np.where(x < 2.3e-308, 0.0, x))
+    found = np.asarray(jax.jit(log)(x))
+    good = np.isfinite(exact)
+    assert np.max(np.abs(found[good] - exact[good]) / np.maximum(1.0, np.abs(exact[good]))) < 4e-16
+    assert np.max(np.abs(found[:2000] / exact[:2000] - 1.0)) < 5e-16
+    assert found[-1] == -np.inf
+    special = np.asarray(jax.jit(log)(np.array([0.0, -1.0, np.inf, np.nan])))
+    np.testing.assert_array_equal(special, [-np.inf, np.nan, np.inf, np.nan])
