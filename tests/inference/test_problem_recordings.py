@@ -99,7 +99,7 @@ def test_recordings_of_one_bucket_share_their_programs(joint):
     del joint
     programs = (problem_module._predict, problem_module._sensitivities)
     before = [getattr(p, "_cache_size")() for p in programs]  # noqa: B009
-    jl.fit(linear_line(), [run(4, 1e-5), run(5, 3e-5, count=20)], **SHARED)
+    jl.fit(linear_line(), [run(4, 1e-5), run(5, 3e-5, count=17)], **SHARED)
     assert [getattr(p, "_cache_size")() for p in programs] == before  # noqa: B009
 
 
@@ -139,7 +139,8 @@ def slopes_by_samples(value: float) -> np.ndarray:
     return TIMES @ integral * step / (TIMES @ TIMES) / 1e-5 * value
 
 
-@pytest.mark.parametrize("part", ["calibration", pytest.param("white", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("part", ["calibration", "white"])
 def test_uncertainty_of_recorded_inputs_follows_closed_form(part):
     arguments = {"free": [MODULUS], "noise": {"A.pressure": NOISE}, "initial": {"A.pressure": START}}
     noise = InputNoise(white=2e-6) if part == "white" else InputNoise(gain=0.02, offset=3e-7)
