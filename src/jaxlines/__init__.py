@@ -11,14 +11,53 @@ if TYPE_CHECKING:  # the public names; each is imported when it is first used (s
     from jaxlines.edge.building import StudyError as StudyError
     from jaxlines.edge.circuit_text import circuit_from_toml as circuit_from_toml, circuit_to_toml as circuit_to_toml
     from jaxlines.edge.drawing import circuit_svg as circuit_svg
+    from jaxlines.edge.experiment_tables import (
+        read_conditions as read_conditions,
+        read_measurements as read_measurements,
+        read_recordings as read_recordings,
+        write_conditions as write_conditions,
+        write_measurements as write_measurements,
+    )
     from jaxlines.edge.plots import plot_line_response as plot_line_response
     from jaxlines.edge.reading import read_recording as read_recording
     from jaxlines.edge.study import Study as Study, load_study as load_study
     from jaxlines.edge.units import si as si
     from jaxlines.inference.batch import BatchFit as BatchFit, fit_batch as fit_batch
+    from jaxlines.inference.circuit_sweep import circuit_plan as circuit_plan, sweep as sweep
+    from jaxlines.inference.distributions import (
+        Discrete as Discrete,
+        LogNormal as LogNormal,
+        LogUniform as LogUniform,
+        Normal as Normal,
+        Triangular as Triangular,
+        Truncated as Truncated,
+        Uniform as Uniform,
+    )
     from jaxlines.inference.fit import fit as fit
+    from jaxlines.inference.input_noise import InputNoise as InputNoise
+    from jaxlines.inference.loss import Loss as Loss
+    from jaxlines.inference.noise import Noise as Noise
     from jaxlines.inference.parameters import Free as Free, Known as Known
+    from jaxlines.inference.priors import Prior as Prior
     from jaxlines.inference.recording import Recording as Recording
+    from jaxlines.inference.recording_check import check_recording as check_recording
+    from jaxlines.inference.samplers import (
+        Grid as Grid,
+        LatinHypercube as LatinHypercube,
+        MonteCarlo as MonteCarlo,
+        Morris as Morris,
+        ShapleyEffects as ShapleyEffects,
+        Sobol as Sobol,
+        SobolIndices as SobolIndices,
+    )
+    from jaxlines.inference.sweep import run_sweep as run_sweep
+    from jaxlines.inference.sweep_result import SweepResult as SweepResult
+    from jaxlines.inference.uncertain import (
+        Draws as Draws,
+        JointNormal as JointNormal,
+        Uncertain as Uncertain,
+        from_fit as from_fit,
+    )
     from jaxlines.physics.accumulators import Accumulator as Accumulator, NitrogenAccumulator as NitrogenAccumulator
     from jaxlines.physics.air import (
         DissolvingAir as DissolvingAir,
@@ -124,9 +163,29 @@ if TYPE_CHECKING:  # the public names; each is imported when it is first used (s
     )
     from jaxlines.simulation.audit import audit as audit
     from jaxlines.simulation.circuit import Circuit as Circuit
+    from jaxlines.simulation.ensemble import EnsembleProgram as EnsembleProgram
+    from jaxlines.simulation.ensemble_derivatives import (
+        EnsembleGradient as EnsembleGradient,
+        EnsembleJacobian as EnsembleJacobian,
+        ensemble_gradient as ensemble_gradient,
+        ensemble_jacobian as ensemble_jacobian,
+    )
+    from jaxlines.simulation.ensemble_pilot import ensemble as ensemble, prepare_ensemble as prepare_ensemble
+    from jaxlines.simulation.ensemble_result import Ensemble as Ensemble
     from jaxlines.simulation.integration import implicit as implicit
     from jaxlines.simulation.line_response import line_response as line_response
     from jaxlines.simulation.linear import linearise as linearise
+    from jaxlines.simulation.reductions import (
+        Crossing as Crossing,
+        Custom as Custom,
+        Final as Final,
+        Peak as Peak,
+        RootMeanSquare as RootMeanSquare,
+        TimeMean as TimeMean,
+        TimeOfPeak as TimeOfPeak,
+        TimeQuantile as TimeQuantile,
+        Trough as Trough,
+    )
     from jaxlines.simulation.segments import choose_segments as choose_segments
     from jaxlines.simulation.signals import Constant as Constant, Sampled as Sampled, Sine as Sine, Step as Step
     from jaxlines.simulation.simulate import simulate as simulate

@@ -65,7 +65,11 @@ def roots(x, y):
 
 
 def tables(x, y):
-    return jnp.interp(x, jnp.array([0.0, 0.5, 2.0]), jnp.array([1.0, 3.0, 2.0])), jnp.asarray(y).at[1].set(x[0]), jnp.sort(x)
+    return (
+        jnp.interp(x, jnp.array([0.0, 0.5, 2.0]), jnp.array([1.0, 3.0, 2.0])),
+        jnp.asarray(y).at[1].set(x[0]),
+        jnp.sort(x),
+    )
 
 
 def linear(x, y):
@@ -116,7 +120,7 @@ def test_structural_zeros_and_what_does_not_move():
     (found,) = graph.outputs(jaxpr, np.array(fixed, dtype=object), np.array(moving, dtype=object))
     once = boundary([found.item()])
     assert len(once) == 1 and not once[0].moving  # exp(a)/(1 + a), in one array
-    value = evaluate([found.item()], {moving: jnp.asarray(2.0)} | dict(zip(once, evaluate(once, {fixed: 0.5}))))
+    value = evaluate([found.item()], {moving: jnp.asarray(2.0)} | dict(zip(once, evaluate(once, {fixed: 0.5}), strict=True)))
     np.testing.assert_allclose(value[0], np.exp(0.5) / 1.5 * 2.0)
     pushed = jax.make_jaxpr(lambda a, y, da, dy: jax.jvp(lambda a, y: a * a + y, (a, y), (da, dy))[1])(*[0.5] * 4)
     one = [np.array(graph.constant(x, np.float64), dtype=object) for x in (0.0, 1.0)]

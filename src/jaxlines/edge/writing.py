@@ -58,7 +58,8 @@ def _csv(columns: dict[str, np.ndarray]) -> str:
     import pandas
 
     buffer = io.StringIO()
-    pandas.DataFrame(columns).to_csv(buffer, index=False, float_format="%.9g", lineterminator="\n")
+    series = {name: pandas.Series(values) for name, values in columns.items()}  # of different lengths
+    pandas.DataFrame(series).to_csv(buffer, index=False, float_format="%.9g", lineterminator="\n")
     return buffer.getvalue()
 
 
@@ -104,7 +105,8 @@ def _fit_traces(fit: Fit) -> dict[str, np.ndarray]:
     """Time, and measured and simulated values of every channel; measured is empty where it was not used."""
     columns: dict[str, np.ndarray] = {}
     for name, channel in fit.channels.items():
-        columns.setdefault("time [s]", channel.times)
+        run = f" [{name.partition(' [')[2]}" if len(fit.runs) > 1 else ""  # each recording has times of its own
+        columns.setdefault(f"time{run} [s]", channel.times)
         columns[f"{name} measured{_unit_suffix(channel.unit)}"] = np.where(channel.used, channel.measured, np.nan)
         columns[f"{name} simulated{_unit_suffix(channel.unit)}"] = channel.simulated
     return columns
