@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlines.simulation.expression import Node
 from jaxlines.simulation.fast_math import FAST
+from jaxlines.simulation.node import Node
 
 
 def evaluate(wanted: Sequence[Node], known: dict[Node, Any]) -> list:

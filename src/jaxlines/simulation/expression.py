@@ -6,14 +6,13 @@ element-wise operations are left. On the way, what does not change in time is to
 shared, and zeros and ones are followed: the derivative in a direction keeps only the terms that depend on it.
 """
 
-import dataclasses
 import functools
-from typing import Any
 
 import jax
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal
 
+from jaxlines.simulation.node import Node
 from jaxlines.simulation.rearrangement import objects, rearranged
 from jaxlines.simulation.simplification import simplified
 
@@ -26,28 +25,6 @@ ELEMENTWISE = frozenset(_NAMES.split())
 CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr"}
 CALLS |= {"custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr", "remat": "jaxpr", "checkpoint": "jaxpr"}
 SUMS = {"reduce_sum": "add", "reduce_max": "max", "reduce_min": "min", "reduce_and": "and", "reduce_or": "or"}
-
-
-@dataclasses.dataclass(eq=False, slots=True)
-class Node:
-    """A number: a constant (`value`), an input (`name`), or what an operation makes of others (`args`).
-
-    moving: whether it changes while time goes on; whole: for an operation on arrays, shapes of its arguments.
-    """
-
-    dtype: Any
-    moving: bool
-    value: Any = None
-    name: Any = None
-    primitive: Any = None
-    params: dict = dataclasses.field(default_factory=dict)
-    args: tuple = ()
-    whole: tuple | None = None
-    pick: tuple[int, int] | None = None
-
-    def is_constant(self, number=None) -> bool:
-        """Whether it is a constant, or this constant."""
-        return self.value is not None and (number is None or bool(self.value == number))
 
 
 class Graph:

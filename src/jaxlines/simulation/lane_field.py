@@ -15,8 +15,9 @@ import numpy as np
 from jaxlines.physics.component import DOMAINS
 from jaxlines.simulation.assembly import Location
 from jaxlines.simulation.evaluation import boundary, evaluate
-from jaxlines.simulation.expression import Graph, Node
+from jaxlines.simulation.expression import Graph
 from jaxlines.simulation.lane_signals import LaneSignals, every_signal, tagged, with_numbers
+from jaxlines.simulation.node import Node
 from jaxlines.simulation.observation import observe
 from jaxlines.simulation.plan import Plan, Values
 from jaxlines.simulation.vector_field import rates, starting_point

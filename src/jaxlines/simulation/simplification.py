@@ -5,13 +5,15 @@ stays the same becomes a multiplication, and one by a square root avoids the rec
 is slow on many processors and which XLA would use: a/sqrt(b) = a sqrt(b)/b.
 """
 
-from typing import TYPE_CHECKING
+from typing import Any
 
 import jax
 import numpy as np
 
-if TYPE_CHECKING:
-    from jaxlines.simulation.expression import Graph, Node
+from jaxlines.simulation.node import Node
+
+Graph = Any
+"""The graph that the nodes belong to (`expression.Graph`, which knows these rules)."""
 
 CONSTANT_FOLDS = {
     "add": np.add,
@@ -39,7 +41,7 @@ CONSTANT_FOLDS = {
 """Operations that are done at once where all their arguments are constants."""
 
 
-def simplified(graph: "Graph", name: str, args: tuple, dtype) -> "Node | None":
+def simplified(graph: Graph, name: str, args: tuple, dtype) -> Node | None:
     """A simpler node for an operation, where there is one."""
     if name in RULES:
         found = RULES[name](graph, args, dtype)
@@ -51,7 +53,7 @@ def simplified(graph: "Graph", name: str, args: tuple, dtype) -> "Node | None":
     return None
 
 
-def _product(graph: "Graph", args: tuple, dtype) -> "Node | None":
+def _product(graph: Graph, args: tuple, dtype) -> Node | None:
     for one, other in (args, args[::-1]):
         if one.is_constant(0):
             return one
@@ -60,14 +62,14 @@ def _product(graph: "Graph", args: tuple, dtype) -> "Node | None":
     return None
 
 
-def _sum(graph: "Graph", args: tuple, dtype) -> "Node | None":
+def _sum(graph: Graph, args: tuple, dtype) -> Node | None:
     for one, other in (args, args[::-1]):
         if one.is_constant(0):
             return other
     return None
 
 
-def _difference(graph: "Graph", args: tuple, dtype) -> "Node | None":
+def _difference(graph: Graph, args: tuple, dtype) -> Node | None:
     if args[1].is_constant(0):
         return args[0]
     if args[0].is_constant(0) and np.issubdtype(dtype, np.floating):
@@ -75,22 +77,22 @@ def _difference(graph: "Graph", args: tuple, dtype) -> "Node | None":
     return None
 
 
-def _same(graph: "Graph", args: tuple, dtype) -> "Node | None":
+def _same(graph: Graph, args: tuple, dtype) -> Node | None:
     return args[0]
 
 
-def _converted(graph: "Graph", args: tuple, dtype) -> "Node | None":
+def _converted(graph: Graph, args: tuple, dtype) -> Node | None:
     return args[0] if args[0].dtype == dtype else None
 
 
-def _selected(graph: "Graph", args: tuple, dtype) -> "Node | None":
+def _selected(graph: Graph, args: tuple, dtype) -> Node | None:
     which, *cases = args
     if all(case is cases[0] for case in cases[1:]):
         return cases[0]
     return cases[int(which.value)] if which.is_constant() else None
 
 
-def _quotient(graph: "Graph", args: tuple, dtype) -> "Node | None":
+def _quotient(graph: Graph, args: tuple, dtype) -> Node | None:
     above, below = args
     if not np.issubdtype(dtype, np.floating) or (above.is_constant() and below.is_constant()):
         return None
@@ -106,7 +108,7 @@ def _quotient(graph: "Graph", args: tuple, dtype) -> "Node | None":
     return None
 
 
-def _inverse_root(graph: "Graph", args: tuple, dtype) -> "Node | None":
+def _inverse_root(graph: Graph, args: tuple, dtype) -> Node | None:
     if np.dtype(dtype) != np.float64:
         return None
     return graph.lax(jax.lax.div, graph.constant(1.0, dtype), graph.lax(jax.lax.sqrt, args[0]))
