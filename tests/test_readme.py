@@ -74,7 +74,7 @@ def test_the_fit_prints_what_is_shown(fit_output):
     check_output(shown, fit_output)
 
 
-@pytest.mark.parametrize(("code", "shown"), PYTHON, ids=["fit", "simulate", "gradient", "cylinder", "waves"])
+@pytest.mark.parametrize(("code", "shown"), PYTHON, ids=["fit", "simulate", "gradient", "cylinder", "ensemble", "sweep", "waves"])
 def test_python_blocks(code, shown):
     kind, text = shown
     assert kind == "text" and len([line for line in code.splitlines() if line]) <= 20

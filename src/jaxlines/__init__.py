@@ -20,6 +20,7 @@ if TYPE_CHECKING:  # the public names; each is imported when it is first used (s
     )
     from jaxlines.edge.plots import plot_line_response as plot_line_response
     from jaxlines.edge.reading import read_recording as read_recording
+    from jaxlines.edge.resampling import resample as resample
     from jaxlines.edge.study import Study as Study, load_study as load_study
     from jaxlines.edge.units import si as si
     from jaxlines.inference.batch import BatchFit as BatchFit, fit_batch as fit_batch
@@ -175,6 +176,7 @@ if TYPE_CHECKING:  # the public names; each is imported when it is first used (s
     from jaxlines.simulation.integration import implicit as implicit
     from jaxlines.simulation.line_response import line_response as line_response
     from jaxlines.simulation.linear import linearise as linearise
+    from jaxlines.simulation.program_cache import cache_programs as cache_programs
     from jaxlines.simulation.reductions import (
         Crossing as Crossing,
         Custom as Custom,

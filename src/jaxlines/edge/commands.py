@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from jaxlines.edge import sweep_commands
+from jaxlines.edge import new_commands, sweep_commands
 
 # Whatever needs JAX is imported inside the commands, so that --version and --help answer at once.
 
@@ -19,7 +19,6 @@ INTERRUPTED = 130
 UsageError: Any = typer.BadParameter.__base__  # of click, which typer does not export
 
 app = typer.Typer(
-    add_completion=False,
     pretty_exceptions_enable=False,
     help="Simulate lumped hydraulic lines and find their physical parameters in recorded pressure.",
 )
@@ -135,17 +134,21 @@ def check(study: StudyFile, quiet: Quiet = False) -> None:
     from jaxlines.edge.showing import progress, show_simulation, show_study
 
     with _one_line_errors(study):
+        from jaxlines.edge.checking import check_study, show_findings
         from jaxlines.edge.study import load_study
 
         loaded = load_study(study)
         with progress(quiet) as say:
             say("simulating", 0.3)
             simulation = loaded.simulate(on_recording=True)
+            findings = check_study(loaded, say=say)
         show_study(loaded, simulation)
         show_simulation(simulation, "simulated with the numbers of the file", ())
+        show_findings(findings)
 
 
 sweep_commands.add_commands(app, _one_line_errors)
+new_commands.add_commands(app, _one_line_errors)
 
 
 def run(arguments: list[str] | None = None) -> int:

@@ -2,23 +2,10 @@
 
 import os
 import sys
-import tempfile
-from pathlib import Path
+
+from jaxlines.simulation.program_cache import default_cache_folder
 
 INTERRUPTED = 130
-
-
-def _cache_folder() -> str | None:
-    """A folder that can be written for compiled programs, or None."""
-    import platformdirs
-
-    folder = Path(platformdirs.user_cache_dir("jaxlines")) / "jax"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=folder).close()
-    except OSError:
-        return None
-    return str(folder)
 
 
 def set_up_jax() -> None:
@@ -30,7 +17,7 @@ def set_up_jax() -> None:
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        folder = _cache_folder()
+        folder = default_cache_folder()
         if folder is not None:
             os.environ["JAX_COMPILATION_CACHE_DIR"] = folder
 

@@ -17,6 +17,7 @@ from jaxlines.edge.fit_tables import (
     study_recordings,
 )
 from jaxlines.edge.naming import Names, at, look_up, names_of
+from jaxlines.edge.study_positions import with_positions
 from jaxlines.edge.tables import NumericsTable, SimulateTable, check_layout
 from jaxlines.inference.fit import fit
 from jaxlines.inference.fit_result import Fit
@@ -201,7 +202,9 @@ def load_study(source) -> Study:
         if not path.is_file():
             raise StudyError("is a folder, not a study file" if path.is_dir() else "no such file")
         try:
-            content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+            text = path.read_text(encoding="utf-8-sig")
+            content = tomllib.loads(text)
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise StudyError(f"not valid TOML: {error}") from error
-        return _build(content, path.parent, source)
+        with with_positions(text):
+            return _build(content, path.parent, source)

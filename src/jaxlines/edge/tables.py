@@ -126,6 +126,7 @@ class StudyTable(Table):
     recording: RecordingTable | None = None
     fit: FitTable | None = None
     simulate: SimulateTable | None = None
+    sweep: dict[str, Any] | None = Field(None, description="What is uncertain, and what is asked of it.")
     numerics: NumericsTable = NumericsTable()
 
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlines.simulation.ensemble import FEWEST, EnsembleProgram, workers
-from jaxlines.simulation.ensemble_columns import Paths, out_of_range
+from jaxlines.simulation.ensemble_columns import Paths, as_slice, out_of_range
 from jaxlines.simulation.ensemble_program import LaneProgram, chunk_tangent, compiled, lane_outputs
 from jaxlines.simulation.precision import cast, computing_in
 
@@ -79,10 +79,10 @@ def _in_chunks(program: EnsembleProgram, columns, good: np.ndarray, chunk: int, 
 
     def one(part: np.ndarray) -> None:
         index = np.concatenate([part, np.full(chunk - part.size, part[0])])
-        chosen = tuple(np.ascontiguousarray(column[..., index]) for column in columns)
+        chosen = tuple(np.ascontiguousarray(column[..., as_slice(index)]) for column in columns)
         with computing_in(program.precision):
             result = run(*cast((program.values, chosen, program.grid), program.precision))
-            write(part, jax.tree.map(lambda x: np.asarray(x)[..., : part.size], result))
+            write(as_slice(part), jax.tree.map(lambda x: np.asarray(x)[..., : part.size], result))
 
     with ThreadPoolExecutor(min(workers(), max(len(parts), 1))) as pool:
         list(pool.map(one, parts))
