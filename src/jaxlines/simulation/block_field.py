@@ -3,7 +3,7 @@
 For circuits of any size: its program does not grow with the number of members of a kind.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -13,11 +13,9 @@ import numpy as np
 
 from jaxlines.simulation.assembly import Location
 from jaxlines.simulation.lane_signals import LaneSignals, every_signal, tagged, with_numbers
-from jaxlines.simulation.lockstep import Marched
 from jaxlines.simulation.observation import observe
 from jaxlines.simulation.paths import leaf_paths
 from jaxlines.simulation.plan import Plan, Values, scales, unravel
-from jaxlines.simulation.rosenbrock import step as implicit_step
 from jaxlines.simulation.signals import Constant
 from jaxlines.simulation.vector_field import rates, starting_point
 
@@ -116,29 +114,13 @@ class BlockField:
         ]
         return jnp.sum(jnp.stack(rows), axis=0)
 
-    def size_of(self, defect: Sequence):
-        """The largest of a state's numbers, each in units of its typical size, for every lane."""
-        rows = [
-            jnp.max(jnp.abs(e / s).reshape(-1, *self.shape), axis=0)
-            for e, s in zip(defect, self._scales, strict=True)
-            if e.size
-        ]
-        return jnp.max(jnp.stack(rows), axis=0)
+    def implicit(self, t) -> tuple[Values, Callable]:
+        """What the linearly implicit scheme integrates (see `rosenbrock`): values, and a function for their rates."""
 
+        def rate(plan, values, t, potentials, states):
+            state = tuple(jax.tree.leaves((potentials, states)))
+            return self.tree(self.rates(self.signals(t), state))
 
-def implicit_interval(field: BlockField, begin, end, steps, start: Marched) -> Marched:
-    """Advance all lanes over an interval in equal steps of the linearly implicit scheme (`rosenbrock`)."""
-    step = (end - begin) / steps
-
-    def rate(plan, values, t, potentials, states):
-        state = tuple(jax.tree.leaves((potentials, states)))
-        return field.tree(field.rates(field.signals(t), state))
-
-    held = field.held(field.signals(begin))
-    held = eqx.tree_at(lambda v: v.signals, held, tuple(Constant(begin) for _ in held.signals))  # `rate` brings its own
-
-    def one_step(k, marched: Marched) -> Marched:
-        after, defect = implicit_step(field.plan, held, begin + k * step, step, field.tree(marched.state), rate)
-        return Marched(tuple(jax.tree.leaves(after)), marched.error + field.size_of(jax.tree.leaves(defect)))
-
-    return jax.lax.fori_loop(0, steps, one_step, start)
+        # The pattern of the Jacobian comes from these values; the signals that act are those of `rate`.
+        held = self.held(self.signals(t))
+        return eqx.tree_at(lambda v: v.signals, held, tuple(Constant(t) for _ in held.signals)), rate

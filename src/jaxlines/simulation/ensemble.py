@@ -12,9 +12,10 @@ import numpy as np
 
 from jaxlines.simulation.assembly import compile_circuit, number_locations
 from jaxlines.simulation.circuit import Circuit
-from jaxlines.simulation.ensemble_columns import Paths, columns_of, out_of_range, places_of
+from jaxlines.simulation.ensemble_columns import Varied, as_slice, columns_of, out_of_range, places_of
 from jaxlines.simulation.ensemble_program import ChunkResult, LaneProgram, is_small, run_chunk
 from jaxlines.simulation.ensemble_result import LANE_STATUS, Audit, Ensemble
+from jaxlines.simulation.graded_steps import graded_grid, step_times
 from jaxlines.simulation.inputs import bind_inputs
 from jaxlines.simulation.integration import make_method
 from jaxlines.simulation.lane_field import special_numbers
@@ -38,8 +39,9 @@ class EnsembleProgram:
     """A plan for an ensemble: engine, steps and error calibration are fixed once; `run` it for any lanes.
 
     Fields: circuit; program: what is compiled; paths: of each varied number; values: those of the circuit; times
-    [s]; grid: where steps end; units of the outputs; steps between stops; tolerance; precision; audit;
-    description: what the numbers depend on, for a record; seconds spent so far.
+    [s]; grid: where pieces end, see `lane_times.step_grid` and, if graded, `graded_steps.graded_grid`; units of the
+    outputs; steps of each piece; tolerance; precision; audit; description: what the numbers depend on, for a record;
+    seconds spent so far; graded: whether the pieces are steps that the pilot has found.
     """
 
     circuit: Circuit
@@ -55,15 +57,16 @@ class EnsembleProgram:
     precision: str
     audit: Audit | None
     seconds: dict[str, float]
+    graded: bool = False
 
     @property
     def description(self) -> dict[str, Any]:
-        """What the numbers depend on."""
+        """What the numbers depend on; "steps" are those between stops, or the boundaries of all graded ones [s]."""
         import diffrax
 
         return {
             "engine": self.program.engine,
-            "steps": self.steps,
+            "steps": step_times(self.grid) if self.graded else self.steps,
             "precision": self.precision,
             "tolerance": self.tolerance,
             "factor": self.audit.factor if self.audit else 1.0,
@@ -71,6 +74,12 @@ class EnsembleProgram:
             "platform": jax.default_backend(),
             "versions": {"jax": jax.__version__, "diffrax": diffrax.__version__, "numpy": np.__version__},
         }
+
+    def with_graded_steps(self, boundaries) -> "EnsembleProgram":
+        """The program of the implicit engine with given boundaries of all its steps [s], shape (steps + 1,)."""
+        program = self.program._replace(engine="implicit")
+        grid = graded_grid(self.times, boundaries)
+        return dataclasses.replace(self, program=program, grid=grid, steps=1, graded=True)
 
     def chunk_lanes(self, lanes: int) -> int:
         """How many lanes are run at once."""
@@ -91,7 +100,7 @@ class EnsembleProgram:
 
     def run(
         self,
-        varied: dict[Paths, Any],
+        varied: Varied,
         *,
         chunk: int | None = None,
         progress: Callable[[str, float], None] | None = None,
@@ -113,7 +122,7 @@ class EnsembleProgram:
         seconds = {**self.seconds, "run": time.perf_counter() - began}
         return found.ensemble(seconds)
 
-    def ordered(self, varied: dict[Paths, Any]) -> list[np.ndarray]:
+    def ordered(self, varied: Varied) -> list[np.ndarray]:
         """The varied numbers in the order of preparation, lanes last."""
         known = {path: i for i, paths in enumerate(self.paths) for path in paths}
         places = places_of(varied, {path: (i, None) for path, i in known.items()})
@@ -147,17 +156,21 @@ class EnsembleProgram:
             if not over.size:
                 return
             self._run_lanes(columns, over, times_as_many * self.steps, found, chunk, progress)
-        over = lanes[np.isfinite(found.error[lanes]) & ~(found.error[lanes] <= self.tolerance)]
+        over = lanes[self._over(found.error[lanes])]
         found.status[over] = np.where(
             found.status[over] == LANE_STATUS["ok"], LANE_STATUS["inaccurate"], found.status[over]
         )
+
+    def _over(self, errors: np.ndarray) -> np.ndarray:
+        """Which errors are not within the tolerance; without an audit, those that are not even finite."""
+        return ~(errors <= self.tolerance) if self.audit else ~np.isfinite(errors)
 
     def run_padded(
         self, columns, part: np.ndarray, size: int, steps: int, program: LaneProgram | None = None
     ) -> ChunkResult:
         """The results of some lanes, filled up to a size with the first of them."""
         index = np.concatenate([part, np.full(size - part.size, part[0])])
-        chosen = tuple(np.ascontiguousarray(column[..., index]) for column in columns)
+        chosen = tuple(np.ascontiguousarray(column[..., as_slice(index)]) for column in columns)
         program = program or self.program
         tolerance = np.asarray(self.tolerance if program is self.program else 1e-2 * self.tolerance)
         with computing_in(self.precision):
@@ -179,9 +192,12 @@ class _Found:
 
     def write(self, part: np.ndarray, result: ChunkResult) -> None:
         """Write down what a chunk gave; lanes that are not finite leave no numbers behind."""
-        failed = ~np.isin(result.status, [LANE_STATUS["ok"], LANE_STATUS["tension"]])
-        self.series[..., part] = np.where(failed, np.nan, np.moveaxis(result.series, 1, 0))
-        self.reduced[:, part] = np.where(failed, np.nan, result.reductions)
+        failed, into = ~np.isin(result.status, [LANE_STATUS["ok"], LANE_STATUS["tension"]]), as_slice(part)
+        self.series[..., into] = np.moveaxis(result.series, 1, 0)
+        self.reduced[:, into] = result.reductions
+        if failed.any():
+            self.series[..., part[failed]] = np.nan
+            self.reduced[:, part[failed]] = np.nan
         self.status[part] = result.status
         factor = self.program.audit.factor if self.program.audit else 1.0
         self.error[part] = factor * result.estimate
@@ -225,7 +241,7 @@ def checked_chunk(chunk: int) -> int:
 def make_program(
     circuit: Circuit,
     times,
-    varied: dict[Paths, Any],
+    varied: Varied,
     inputs: dict | None,
     initial: dict | None,
     outputs: Iterable[str] | None,

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlines.simulation.assembly import Location, set_numbers
-from jaxlines.simulation.block_field import BlockField, implicit_interval
+from jaxlines.simulation.block_field import BlockField
 from jaxlines.simulation.integration import Method, integrate
 from jaxlines.simulation.lane_field import LaneField
 from jaxlines.simulation.lockstep import explicit_interval, march
@@ -17,6 +17,7 @@ from jaxlines.simulation.lockstep_tangent import march_tangent
 from jaxlines.simulation.plan import Plan, Values
 from jaxlines.simulation.reductions import AbstractReduction
 from jaxlines.simulation.result import STATUS
+from jaxlines.simulation.rosenbrock import integrate as integrate_stiff, relative_error, step
 
 ENGINES = ("explicit", "implicit", "adaptive")
 
@@ -77,16 +78,49 @@ def field_of(program: LaneProgram, values: Values, columns, t, partials: bool = 
     if program.small or partials:
         field = LaneField(program.plan, values, program.places, program.observed, program.fixed)
         return field.bind(values, columns, t, partials, differentiated)
-    return BlockField(program.plan, values, program.places, program.observed, columns, t)
+    return _blocks(program, values, columns, t)
 
 
 def _marched(program: LaneProgram, values: Values, columns, grid, steps):
     """Outputs (samples, observed, lanes) and error estimates of the lockstep engines."""
-    implicit = program.engine == "implicit"
-    program = program._replace(small=program.small and not implicit)
+    if program.engine == "implicit":
+        return _marched_implicitly(program, values, columns, grid, steps)
     field = field_of(program, values, columns, grid[0, -1])
-    interval = implicit_interval if implicit else explicit_interval
-    return march(field, interval, grid, steps, field.start(), jnp.zeros(field.shape, grid.dtype))
+    return march(field, explicit_interval, grid, steps, field.start(), jnp.zeros(field.shape, grid.dtype))
+
+
+def _blocks(program: LaneProgram, values: Values, columns, t) -> BlockField:
+    """The field of the implicit engine, whatever the size of the circuit."""
+    return BlockField(program.plan, values, program.places, program.observed, columns, t)
+
+
+def _marched_implicitly(program: LaneProgram, values: Values, columns, grid, cuts):
+    """Outputs (samples, observed, lanes) and error estimates; cuts: equal parts of each step of the grid."""
+    begin = grid[0, -1]
+    field = _blocks(program, values, columns, begin)
+    held, rate = field.implicit(begin)
+
+    def show(t, state):
+        return field.outputs(field.signals(t), tuple(jax.tree.leaves(state)))
+
+    start = field.tree(field.start())
+    shown, error = integrate_stiff(program.plan, held, grid[1:], start, rate, show, cuts)
+    return jnp.concatenate([show(begin, start)[None], shown]), error
+
+
+def implicit_start(program: LaneProgram, values: Values, columns, t):
+    """The state of lanes at the start [s], (potentials, states), lanes last."""
+    field = _blocks(program, values, columns, t)
+    return field.tree(field.start())
+
+
+def implicit_trial(program: LaneProgram, values: Values, columns, t, h, state):
+    """The state of lanes after a step of the implicit engine from t to t + h [s], and the largest relative error
+    estimate of all lanes; infinite where one is not finite. See `graded_steps`."""
+    held, rate = _blocks(program, values, columns, t).implicit(t)
+    new, error = step(program.plan, held, t, h, state, rate)
+    size = relative_error(program.plan, new, error)
+    return new, jnp.max(jnp.where(jnp.isfinite(size), size, jnp.inf))
 
 
 def _adapted(program: LaneProgram, values: Values, columns, times, tolerance):
@@ -175,7 +209,8 @@ def lane_outputs(program: LaneProgram, values: Values, grid, steps: int):
         def marched(columns):
             return _marched(program, values, columns, grid, steps)[0]
 
-        return jax.checkpoint(marched)
+        # The implicit engine decides itself what it computes again in reverse.
+        return marched if program.engine == "implicit" else jax.checkpoint(marched)
 
     def bound(columns, partials):
         return field_of(program, values, columns, grid[0, -1], partials)

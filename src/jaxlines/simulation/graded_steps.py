@@ -5,6 +5,7 @@ lanes, whatever chunks these run in, so that results do not depend on who runs b
 """
 
 import functools
+import itertools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -13,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlines.simulation.plan import Plan, Values
-from jaxlines.simulation.rosenbrock import relative_error, step
+from jaxlines.simulation.rosenbrock import BLOCK, relative_error, step
 
 ORDER = 4
 """A step's error estimate goes with this power of its length."""
@@ -102,3 +103,47 @@ def rounded_up(steps: Steps, times) -> Steps:
         middles = 0.5 * (boundaries[longest] + boundaries[longest + 1])
         boundaries = np.insert(boundaries, longest + 1, middles)
     return _steps(boundaries, np.asarray(times, dtype=float))
+
+
+class StepTimes(tuple):
+    """Boundaries of all steps [s], for a record, from which the grid is made again; shown in a few words."""
+
+    def __str__(self) -> str:
+        return f"{len(self) - 1} graded"
+
+
+def graded_grid(times, boundaries) -> np.ndarray:
+    """Boundaries of steps row by row, shape (samples, most + 1): row 0 the start, then one for each interval.
+
+    Rows with fewer steps are filled up with their end, which stands for no step (see `rosenbrock.integrate`). Their
+    common length is one of few (32, 128, 512, ...), so that programs serve other steps too.
+
+    Args: times: of the samples [s], increasing; boundaries: of all steps [s], the samples among them.
+    Raises: ValueError when they do not belong together.
+    """
+    times, boundaries = np.asarray(times, dtype=float), np.unique(np.asarray(boundaries, dtype=float))
+    if not np.isin(times, boundaries).all() or boundaries[0] < times[0] or boundaries[-1] > times[-1]:
+        raise ValueError(
+            f"steps must end on all {len(times)} saved times and lie within {times[0]:g} s to {times[-1]:g} s; got "
+            f"{len(boundaries)} times from {boundaries[0]:g} s to {boundaries[-1]:g} s: are they of another run?"
+        )
+    places = np.searchsorted(boundaries, times)
+    most = 4 * BLOCK
+    while most < np.diff(places).max():
+        most *= 4
+    grid = np.repeat(times[:, None], most + 1, axis=1)
+    for row, (first, last) in enumerate(itertools.pairwise(places), start=1):
+        grid[row, : last - first + 1] = boundaries[first : last + 1]
+    return grid
+
+
+def step_times(grid: np.ndarray) -> StepTimes:
+    """The boundaries of all steps of a grid [s]."""
+    return StepTimes(np.unique(grid).tolist())
+
+
+def cut_times(boundaries, parts: int) -> np.ndarray:
+    """Boundaries when every step is cut into equal parts [s]."""
+    boundaries = np.asarray(boundaries, dtype=float)
+    inner = boundaries[:-1, None] + np.diff(boundaries)[:, None] * np.arange(parts) / parts
+    return np.append(inner.ravel(), boundaries[-1])

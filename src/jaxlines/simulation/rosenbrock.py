@@ -14,6 +14,8 @@ Steinebach, "Order-reduction of ROW-methods for DAEs and method of lines applica
 1995 (the coefficients, known as RODASP).
 """
 
+import functools
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -70,6 +72,10 @@ RODASP = Scheme(
     times=np.array([0.0, 0.75, 0.21, 0.63, 1.0, 1.0]),
     drift=np.array([0.25, -0.5, -0.023504, -0.0362, 0.0, 0.0]),
 )
+
+
+BLOCK = 8
+"""Steps of an interval at once, of which the later may be none."""
 
 
 def _combined(weights, stages):
@@ -152,21 +158,50 @@ def _no_error(state):
     return jnp.zeros(leaf.shape[-1:], leaf.dtype)
 
 
-def integrate(plan: Plan, values: Values, grid, start, field: Callable = rates) -> tuple[Any, Any]:
-    """Integrate all lanes over intervals of as many steps each; pure, to be called inside jit.
+def integrate(
+    plan: Plan, values: Values, grid, start, field: Callable = rates, show: Callable | None = None, cuts=1
+) -> tuple[Any, Any]:
+    """Integrate all lanes over intervals of several steps each; pure, to be called inside jit.
+
+    In reverse, what is kept is the state at the ends of the intervals, and of one interval at a time that at the ends
+    of its steps; the rest is computed again.
 
     Args: values, start, field: see `step`; grid: times [s], shape (intervals, steps + 1): row by row the boundaries of
-        the steps of an interval, the last of a row being the first of the next; knots of inputs are among them.
-    Returns: the states at the ends of the intervals (leading axis), and for each lane the sum over all steps of the
+        the steps of an interval, the last of a row being the first of the next; knots of inputs are among them. Two
+        equal boundaries stand for no step, so that rows may differ in their number of steps. show(t, state): what is
+        kept at the ends of the intervals, by default the state; cuts: equal parts that each step is cut into (a traced
+        number rules derivatives in reverse out).
+    Returns: what is shown at the ends of the intervals (leading axis), and for each lane the sum over all steps of the
         largest relative error estimate, shape (lanes,); not finite where the lane has failed.
     """
 
+    @functools.partial(jax.checkpoint, prevent_cse=False)
     def one_step(carry, times):
-        return _advance(plan, values, times, carry, field), None
+        begin, end = times
+        length = (end - begin) / cuts
 
+        def advance(carry):
+            def part(k, carry):
+                state, summed = carry
+                state, error = step(plan, values, begin + k * length, length, state, field)
+                return state, summed + relative_error(plan, state, error)
+
+            return jax.lax.fori_loop(0, cuts, part, carry)
+
+        return jax.lax.cond(end > begin, advance, lambda carry: carry, carry), None
+
+    def block(carry, times):
+        return jax.lax.cond(
+            times[1][-1] > times[0][0], lambda c: jax.lax.scan(one_step, c, times)[0], lambda c: c, carry
+        ), None
+
+    # Steps that are none are passed over in blocks: one by one they would take as long as steps of few lanes.
+    size = math.gcd(grid.shape[1] - 1, BLOCK)
+
+    @functools.partial(jax.checkpoint, prevent_cse=False)
     def interval(carry, row):
-        carry, _ = jax.lax.scan(one_step, carry, (row[:-1], row[1:]))
-        return carry, carry[0]
+        carry, _ = jax.lax.scan(block, carry, (row[:-1].reshape(-1, size), row[1:].reshape(-1, size)))
+        return carry, carry[0] if show is None else show(row[-1], carry[0])
 
     (_, summed), saved = jax.lax.scan(interval, (start, _no_error(start)), grid)
     return saved, summed
