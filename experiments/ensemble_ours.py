@@ -2,6 +2,7 @@
 
 import resource
 import time
+from typing import Any
 
 import jax.numpy as jnp
 import line_problem as line
@@ -18,13 +19,14 @@ STEPS = {"float64": (2, 3, 4, 6), "float32": (2, 3, 4)}
 
 def axis_program(columns, variant=axis.AXIS, **options) -> jl.EnsembleProgram:
     """The ensemble of the servo axis, one output."""
+    given: dict[str, Any] = {"outputs": ["A.pressure"]} | options
     return jl.prepare_ensemble(
         axis.circuit(variant),
         axis.times,
         axis.varied(columns),
         axis.inputs(),
         initial=axis.initial(),
-        **({"outputs": ["A.pressure"]} | options),
+        **given,
     )
 
 

@@ -21,6 +21,7 @@ BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", README, flags=re.MULTILINE | re.DO
 INSTALL = "python -m pip install . && jaxlines fit example:control-line"
 TEST = 'python -m pip install ".[test]" && python -m pytest'
 FIT = "jaxlines fit example:control-line"
+NAMES = ["fit", "simulate", "gradient", "cylinder", "ensemble", "sweep", "waves"]
 PYTHON = [(code, BLOCKS[i + 1]) for i, (kind, code) in enumerate(BLOCKS) if kind == "python"]
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 
@@ -74,7 +75,7 @@ def test_the_fit_prints_what_is_shown(fit_output):
     check_output(shown, fit_output)
 
 
-@pytest.mark.parametrize(("code", "shown"), PYTHON, ids=["fit", "simulate", "gradient", "cylinder", "ensemble", "sweep", "waves"])
+@pytest.mark.parametrize(("code", "shown"), PYTHON, ids=NAMES)
 def test_python_blocks(code, shown):
     kind, text = shown
     assert kind == "text" and len([line for line in code.splitlines() if line]) <= 20

@@ -243,7 +243,7 @@ def test_wrong_calls_are_refused():
     with pytest.raises(ValueError, match="engine must be"):
         call(good, engine="fast")
     with pytest.raises(ValueError, match="steady state"):
-        jl.ensemble(draining(), TIMES, good, initial="steady")
+        jl.ensemble(draining(), TIMES, good, initial="steady")  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="percent"):
         jl.TimeQuantile("A.pressure", 95.0)
     with pytest.raises(KeyError, match="output"):

@@ -120,7 +120,8 @@ def test_structural_zeros_and_what_does_not_move():
     (found,) = graph.outputs(jaxpr, np.array(fixed, dtype=object), np.array(moving, dtype=object))
     once = boundary([found.item()])
     assert len(once) == 1 and not once[0].moving  # exp(a)/(1 + a), in one array
-    value = evaluate([found.item()], {moving: jnp.asarray(2.0)} | dict(zip(once, evaluate(once, {fixed: 0.5}), strict=True)))
+    known = dict(zip(once, evaluate(once, {fixed: 0.5}), strict=True))
+    value = evaluate([found.item()], {moving: jnp.asarray(2.0)} | known)
     np.testing.assert_allclose(value[0], np.exp(0.5) / 1.5 * 2.0)
     pushed = jax.make_jaxpr(lambda a, y, da, dy: jax.jvp(lambda a, y: a * a + y, (a, y), (da, dy))[1])(*[0.5] * 4)
     one = [np.array(graph.constant(x, np.float64), dtype=object) for x in (0.0, 1.0)]

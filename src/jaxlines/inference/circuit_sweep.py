@@ -19,7 +19,7 @@ from jaxlines.inference.uncertain import Draws, JointNormal, Uncertain, from_fit
 from jaxlines.simulation.assembly import compile_circuit, number_locations
 from jaxlines.simulation.circuit import Circuit, field_metadata
 from jaxlines.simulation.ensemble import MOST_ON_GPU, EnsembleProgram, workers
-from jaxlines.simulation.ensemble_columns import Paths
+from jaxlines.simulation.ensemble_columns import Varied
 from jaxlines.simulation.ensemble_derivatives import DERIVATIVE_LANES, ensemble_jacobian
 from jaxlines.simulation.ensemble_pilot import prepare_ensemble
 from jaxlines.simulation.ensemble_result import Audit
@@ -81,7 +81,7 @@ class CircuitModel(AbstractModel):
 
     def prepare(self, pilot: dict[str, np.ndarray], fixed: dict | None = None) -> "CircuitProgram":
         """The ensemble program; engine, steps and calibration of errors from the pilot lanes, or as `fixed` says."""
-        lanes: dict[Paths, Any] = {**pilot}
+        lanes: Varied = {**pilot}
         engine, steps, audit = self.engine, None, 8
         if fixed is not None:
             engine, steps, audit = fixed["engine"], fixed["steps"] or None, 0
@@ -122,7 +122,7 @@ class CircuitProgram:
 
     def _derivatives(self, varied: dict[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]]:
         """Reduction -> path -> exact derivatives, shape (lanes,)."""
-        lanes: dict[Paths, Any] = {**varied}
+        lanes: Varied = {**varied}
         return ensemble_jacobian(self.program, lanes, chunk=DERIVATIVE_LANES).reduction_slopes
 
 

@@ -1,5 +1,6 @@
 """The varied numbers of an ensemble: where they go, and which lanes have numbers that are out of range."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -8,10 +9,11 @@ from jaxlines.simulation.assembly import Location
 from jaxlines.simulation.circuit import Circuit, field_metadata
 from jaxlines.simulation.paths import resolve
 
-Paths = str | tuple[str, ...]
+Varied = Mapping[Any, Any]
+"""Path of a number, or a tuple of paths that take the same -> its values, (lanes,)."""
 
 
-def places_of(varied: dict[Paths, Any], known: dict[str, Location]) -> dict[tuple[str, ...], tuple[Location, ...]]:
+def places_of(varied: Varied, known: dict[str, Location]) -> dict[tuple[str, ...], tuple[Location, ...]]:
     """Full paths of each varied number, and where they are. Raises: KeyError for an unknown, ValueError for a
     repeated path."""
     found, seen = {}, set()
@@ -27,7 +29,7 @@ def places_of(varied: dict[Paths, Any], known: dict[str, Location]) -> dict[tupl
     return found
 
 
-def columns_of(varied: dict[Paths, Any]) -> list[np.ndarray]:
+def columns_of(varied: Varied) -> list[np.ndarray]:
     """The varied numbers, lanes last. Raises: ValueError unless all have the same number of lanes."""
     columns = []
     for key, values in varied.items():

@@ -2,14 +2,14 @@
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxlines.simulation.ensemble import FEWEST, EnsembleProgram, workers
-from jaxlines.simulation.ensemble_columns import Paths, as_slice, out_of_range
+from jaxlines.simulation.ensemble_columns import Varied, as_slice, out_of_range
 from jaxlines.simulation.ensemble_program import LaneProgram, chunk_tangent, compiled, lane_outputs
 from jaxlines.simulation.precision import cast, computing_in
 
@@ -99,7 +99,7 @@ def _steps(program: EnsembleProgram) -> int:
 
 
 def ensemble_jacobian(
-    program: EnsembleProgram, varied: dict[Paths, Any], *, chunk: int | None = None
+    program: EnsembleProgram, varied: Varied, *, chunk: int | None = None
 ) -> EnsembleJacobian:
     """Outputs and reductions of every lane and their derivatives in all varied numbers, by forward sensitivities.
 
@@ -144,7 +144,7 @@ def ensemble_jacobian(
 
 
 def ensemble_gradient(
-    program: EnsembleProgram, objective: Callable, varied: dict[Paths, Any], *, chunk: int | None = None
+    program: EnsembleProgram, objective: Callable, varied: Varied, *, chunk: int | None = None
 ) -> EnsembleGradient:
     """An objective of every lane and its gradient in all varied numbers, backwards in time.
 

@@ -74,7 +74,9 @@ class Graph:
         known |= dict(zip(jaxpr.invars, arguments, strict=True))
 
         def read(atom):
-            return self.constants(np.asarray(atom.val, atom.aval.dtype)) if isinstance(atom, Literal) else known[atom]
+            if isinstance(atom, Literal):
+                return self.constants(np.asarray(atom.val, getattr(atom.aval, "dtype", None)))
+            return known[atom]
 
         for eqn in jaxpr.eqns:
             results = self._equation(eqn, [read(atom) for atom in eqn.invars])

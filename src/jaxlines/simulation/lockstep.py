@@ -96,7 +96,7 @@ def kept_apart(always, function, *arguments):
     )
 
 
-def explicit_step(field, begin, step, state: tuple, keep: bool = False):
+def explicit_step(field, begin, step, state: tuple, keep: bool = False) -> tuple[tuple, Any]:
     """One step of all lanes: the state after it, and its error estimate, (lanes,).
 
     The estimate is that of the sum of all states in units of their typical sizes: one array instead of as many as
@@ -134,7 +134,7 @@ def explicit_interval(field, begin, end, steps, start: Marched) -> Marched:
 
     def one_step(k, marched: Marched) -> Marched:
         state, defect = explicit_step(field, begin + k * step, step, marched.state)
-        return Marched(state, marched.error + jnp.abs(defect))
+        return Marched(state, marched.error + jnp.abs(jnp.asarray(defect)))
 
     return jax.lax.fori_loop(0, steps, one_step, start)
 

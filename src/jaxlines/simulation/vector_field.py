@@ -92,7 +92,7 @@ def _readings(values: Values, readings: tuple[Reading, ...], find: Callable[[Qua
 def look(plan: Plan, values: Values, t, potentials, states) -> Sight:
     """What every kind sees at time t."""
     lanes = jnp.shape(potentials)[1:]
-    external = [jnp.broadcast_to(signal(t), lanes) for signal in values.signals]
+    external = [jnp.broadcast_to(jnp.asarray(signal(t)), lanes) for signal in values.signals]
     outputs = [jnp.zeros(lanes)] * sum(len(controller.outputs) for controller in plan.controllers)
     inputs = jnp.stack([*external, *outputs]) if external or outputs else jnp.zeros((0, *lanes))
     read: dict[int, dict] = {}
