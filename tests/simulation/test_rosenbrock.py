@@ -9,9 +9,9 @@ import pytest
 
 import jaxlines as jl
 from jaxlines.simulation.assembly import compile_circuit, number_locations
-from jaxlines.simulation.graded_steps import Steps, graded_steps, rounded_up, trial_of
+from jaxlines.simulation.graded_steps import graded_grid, graded_steps, trial_of
 from jaxlines.simulation.jacobian import structure_of
-from jaxlines.simulation.rosenbrock import RODASP, integrate, integrate_steps
+from jaxlines.simulation.rosenbrock import RODASP, integrate
 from jaxlines.simulation.vector_field import rates, starting_point
 
 TIMES = np.linspace(0.0, 0.2, 21)
@@ -196,8 +196,8 @@ class Driven:
             self.values = with_lanes(single, 4, fluid_bulk_modulus=MODULI)
             self.start = start_of(self.plan, self.values, 4)
             self.steps = graded_steps(trial_of(self.plan, self.values), TIMES, self.start, tolerance)
-            times, interval = self.steps
-            self.run = jax.jit(lambda v, start: integrate_steps(self.plan, v, times, interval, len(TIMES) - 1, start))
+            grid = graded_grid(TIMES, self.steps.times)[1:]
+            self.run = jax.jit(lambda v, start: integrate(self.plan, v, grid, start))
             self.saved, self.error = self.run(self.values, self.start)
 
     def pressure(self, node: str, lane: int = 0):
@@ -247,9 +247,6 @@ def test_steps_are_short_only_where_it_moves(driven):
     assert set(TIMES) <= set(steps.times) and lengths.max() > 50 * lengths.min()
     np.testing.assert_array_equal(TIMES[steps.interval] <= steps.times[:-1], True)
     np.testing.assert_array_equal(steps.times[1:] <= TIMES[steps.interval + 1], True)
-    more = rounded_up(steps, TIMES)
-    assert steps.count <= more.count <= 1.15 * steps.count + 16 and set(steps.times) <= set(more.times)
-    assert rounded_up(Steps(more.times, more.interval), TIMES).count == more.count
 
 
 def test_a_pilot_that_cannot_go_on_says_where():

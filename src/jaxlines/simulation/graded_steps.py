@@ -88,23 +88,6 @@ def _steps(boundaries: np.ndarray, times: np.ndarray) -> Steps:
     return Steps(boundaries, (np.searchsorted(times, middle) - 1).astype(np.int32))
 
 
-def rounded_up(steps: Steps, times) -> Steps:
-    """The same steps, the longest of them halved until their number is one of few (15 % apart at most).
-
-    So the program, which is made for a number of steps, serves other values of a circuit.
-    """
-    count = 16
-    while count < steps.count:
-        count = max(count + 1, int(count * 1.15))
-    boundaries = steps.times
-    while len(boundaries) - 1 < count:
-        missing = count - (len(boundaries) - 1)
-        longest = np.sort(np.argsort(-np.diff(boundaries), kind="stable")[:missing])
-        middles = 0.5 * (boundaries[longest] + boundaries[longest + 1])
-        boundaries = np.insert(boundaries, longest + 1, middles)
-    return _steps(boundaries, np.asarray(times, dtype=float))
-
-
 class StepTimes(tuple):
     """Boundaries of all steps [s], for a record, from which the grid is made again; shown in a few words."""
 

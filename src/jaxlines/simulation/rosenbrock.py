@@ -144,15 +144,6 @@ def relative_error(plan: Plan, state, error):
     return jax.tree.reduce(jnp.maximum, parts)
 
 
-def _advance(plan: Plan, values: Values, times, carry, field: Callable):
-    """The state after a step between two times, and the sum of errors so far."""
-    (begin, end), (state, summed) = times, carry
-    # In single precision two boundaries may have become one; a step as long as their rounding changes nothing.
-    rounding = jnp.finfo(jax.tree.leaves(state)[0].dtype).eps * jnp.maximum(abs(begin), abs(end))
-    state, error = step(plan, values, begin, jnp.maximum(end - begin, rounding), state, field)
-    return state, summed + relative_error(plan, state, error)
-
-
 def _no_error(state):
     leaf = jax.tree.leaves(state)[0]
     return jnp.zeros(leaf.shape[-1:], leaf.dtype)
@@ -205,39 +196,3 @@ def integrate(
 
     (_, summed), saved = jax.lax.scan(interval, (start, _no_error(start)), grid)
     return saved, summed
-
-
-def _as_it_is(t, state):
-    """The state itself."""
-    return state
-
-
-def integrate_steps(
-    plan: Plan,
-    values: Values,
-    times,
-    interval,
-    intervals: int,
-    start,
-    *,
-    field: Callable = rates,
-    show: Callable = _as_it_is,
-) -> tuple[Any, Any]:
-    """Integrate all lanes over steps of any length; see `integrate`.
-
-    Args: times: boundaries of all steps [s], shape (steps + 1,); interval: the interval that each step belongs to,
-        from 0, not decreasing, shape (steps,), see `graded_steps`; intervals: how many there are; show(t, state): what
-        is kept at the ends of the intervals; by default the state.
-    """
-    shapes = jax.eval_shape(show, times[0], start)
-    shown = jax.tree.map(lambda x: jnp.zeros((intervals, *x.shape), x.dtype), shapes)
-
-    def one_step(carry, now):
-        carry, shown = carry
-        begin, end, place = now
-        carry = _advance(plan, values, (begin, end), carry, field)
-        return (carry, jax.tree.map(lambda s, x: s.at[place].set(x), shown, show(end, carry[0]))), None
-
-    start = ((start, _no_error(start)), shown)
-    ((_, summed), shown), _ = jax.lax.scan(one_step, start, (times[:-1], times[1:], interval))
-    return shown, summed
