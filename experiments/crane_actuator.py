@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from crane_model import NOISE, PASCAL, SAMPLE, STRUCTURES, circuit, initial, recording
+from crane_model import AREA, METRE, NOISE, PASCAL, SAMPLE, STRUCTURES, circuit, initial, recording
 from rich.console import Console
 
 import jaxlines as jl
@@ -145,6 +145,7 @@ def study(train: pd.DataFrame, test: pd.DataFrame | None, structures: dict, cons
     best = min(fits, key=lambda name: table[name]["validation_rmse"])
     final = fitted(train, len(train), again(fits[best], structures[best])) or fits[best]
     result = {
+        "one_unit_stands_for": {"k [s]": SAMPLE, "p_oil [Pa]": PASCAL, "x_crane [m]": METRE, "piston [m^2]": AREA},
         "structures": table,
         "structure": best,
         "validation_rmse": table[best]["validation_rmse"],

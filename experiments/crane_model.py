@@ -21,7 +21,7 @@ AREA, VOLUME = 1e-3, 0.05  # of the piston [m^2], of the hose [m^3]; with the mo
 INERTANCE = 1e8  # of the fluid in the hose, held: a fiftieth of the arm when seen through the piston [Pa s^2/m^3]
 PORT_VOLUME = 0.04 * VOLUME  # between valve and hose, where the gauge sits [m^3]
 CARRYING = 20e6  # pressure that carries the arm at rest, absolute [Pa]; only differences from it matter
-HOME = 0.5  # where the piston stands when the record says 0, away from the end stops [m]
+HOME = 5.0  # where the piston stands when the record says 0: far from the end stops, which the record does not show [m]
 CHANNELS = ("gauge", "position")
 NOISE = {"gauge": 0.2 * PASCAL, "position": 0.07 * METRE}  # how the channels are weighted
 
@@ -66,7 +66,7 @@ START = {
     "meter_out.area": 5.7e-6,
     "pump.pressure": 21.5e6,
     "return.pressure": 13.9e6,
-    "fluid.bulk_modulus": 1.55e9,
+    "fluid.bulk_modulus": 1.75e9,
     "arm.mass": 4400.0,
     "cylinder.viscous_friction": 1000.0,
     "hose.resistance": 4e9,
@@ -85,10 +85,10 @@ def _free(path: str, low: float, high: float, transform: str = "log") -> jl.Free
 
 PLAIN = [
     _free("valve.delay", 0.0, 0.6, "identity"),
-    _free("meter_in.lap", -0.15, 0.3, "identity"),
+    _free("meter_in.lap", -0.5, 0.3, "identity"),
     _free("meter_in.full", 0.02, 3.0),
     _free("meter_in.area", 1e-6, 1e-3),
-    _free("meter_out.lap", -0.15, 0.3, "identity"),
+    _free("meter_out.lap", -0.5, 0.3, "identity"),
     _free("meter_out.full", 0.02, 3.0),
     _free("meter_out.area", 5e-7, 1e-3),
     _free("pump.pressure", 20.2e6, 60e6, "identity"),
@@ -142,7 +142,7 @@ def circuit(free) -> jl.Circuit:
         ),
         "hose_volume": jl.Line("chamber", jl.Vessel(volume=VOLUME)),
         "cylinder": jl.SingleRodCylinder(
-            *("chamber", "outside", "rod", AREA, AREA, 4.0),
+            *("chamber", "outside", "rod", AREA, AREA, 12.0),
             viscous_friction=START["cylinder.viscous_friction"],
             coulomb_friction=start("cylinder.coulomb_friction", 0.0),
             stribeck_speed=0.1,
