@@ -146,7 +146,8 @@ def carry_over_studies(runs: list[Ringdown], fits: dict[str, Fits], console: Con
     """Both ways of leaving runs out."""
     recordings, local = [recording(run) for run in runs], [own_numbers(run) for run in runs]
     batches = {
-        name: make_batch(circuit(), recordings, free=free, local=local, **NUMERICS) for name, free in MODELS.items()
+        name: make_batch(circuit(), recordings, free=free, local=local, starts=fits[name].result.values, **NUMERICS)
+        for name, free in MODELS.items()
     }
     fitted = {name: fit.result.values for name, fit in fits.items()}
     return {kind: carry_over(runs, batches, fitted, kind, console) for kind in ("halves", "other units")}

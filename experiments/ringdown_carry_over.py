@@ -12,7 +12,7 @@ from jaxlines.inference.batch import Batch
 def pooled(batch: Batch, lanes: np.ndarray, start: np.ndarray) -> np.ndarray:
     """One set of parameters for several runs, coordinates: least squares over all of them together."""
     bounds = np.array([f.coordinate_bounds() for f in batch.free])
-    weight = 1.0 / (batch.sigma[lanes, None, :] * 100.0)
+    weight = 1.0 / (batch.sigma[lanes] * 100.0)
 
     def residuals(point):
         numbers = batch.to_values(np.tile(point, (lanes.size, 1)))

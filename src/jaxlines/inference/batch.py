@@ -118,7 +118,7 @@ def fit_batch(
             values), "adaptive" (each lane with steps of its own), or "auto": in step where that is possible:
             recordings with the same sampling, no gain or offset of an input free, no sampled controllers or delayed
             sensors. Whatever the engine, every end point is simulated again with twice the steps (or a tenth of
-            the tolerance), and the search goes on with these until the optimum stays where it is within 1e-3 of a
+            the tolerance), and the search goes on with these until the optimum stays where it is within 0.005 of a
             standard error.
         max_iterations: limit a lane; progress: called with a text and a fraction done.
         solver, tolerance, max_steps: of the adaptive engine, as in `fit`; its lanes wait for the one with the most

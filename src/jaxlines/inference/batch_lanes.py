@@ -17,9 +17,9 @@ from jaxlines.simulation.integration import make_method
 
 ENGINES = ("auto", "explicit", "implicit", "adaptive")
 
-PILOT_SHARE, PILOT_RANGE = 0.1, (1e-5, 1e-3)
-"""Tolerance of the first steps: a share of the noise, and within which limits. The end points are looked at again with
-finer steps, so that it decides over time, not over results."""
+PILOT_SHARE, PILOT_RANGE = 1.0, (1e-5, 1e-2)
+"""Tolerance of the first steps: a share of the noise, and within which limits. Searches go on with finer steps, so that
+it decides over time, not over results."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,14 +49,14 @@ class Batch:
         """How many recordings there are."""
         return self.measured.shape[0]
 
-    def predict(self, numbers: np.ndarray, lanes: np.ndarray, level: int = 1) -> np.ndarray:
+    def predict(self, numbers: np.ndarray, lanes: np.ndarray, level: int = 2) -> np.ndarray:
         """Simulated channels of some lanes for values of the free parameters in SI, shape (lanes, times, channels).
 
         level: of accuracy: each one has twice the steps of the one before, or a tenth of the tolerance.
         """
         return self._run(numbers, lanes, level, False)[0]
 
-    def sensitivities(self, numbers: np.ndarray, lanes: np.ndarray, level: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    def sensitivities(self, numbers: np.ndarray, lanes: np.ndarray, level: int = 2) -> tuple[np.ndarray, np.ndarray]:
         """Simulated channels of some lanes and their slopes by the free parameters (last axis)."""
         return self._run(numbers, lanes, level, True)
 

@@ -23,6 +23,14 @@ from jaxlines.simulation.lane_signals import own_signals
 from jaxlines.simulation.paths import resolve
 from jaxlines.simulation.precision import cast, computing_in
 
+FINER, COARSER = 2, 2
+"""Factor on the steps at each level of accuracy, and by how many levels slopes are coarser than outputs: a slope that
+is wrong by a share moves the optimum by that share of a standard error only, while an output that is wrong moves it by
+as much as it is wrong."""
+
+FEW = 8
+"""Up to so many recordings are run as so many lanes, which a processor does in a fraction of the time."""
+
 CHUNK_ON_GPU = 32 * FEWEST
 """Lanes at once on devices other than the processor."""
 
@@ -59,7 +67,7 @@ class LockstepLanes:
 
     def effort(self, level: int) -> int:
         """Steps between samples at a level of accuracy."""
-        return self.program.steps * 2**level
+        return self.program.steps * FINER**level
 
     def run(self, numbers: np.ndarray, lanes: np.ndarray, level: int, slopes: bool, take: Callable) -> None:
         """Simulate lanes with values of the free parameters, chunk by chunk on all cores.
@@ -71,7 +79,9 @@ class LockstepLanes:
         channels) and, if wanted, slopes (part, samples, channels, free) in SI; NaN for failed lanes. It is called
         in several threads.
         """
-        size = FEWEST if jax.default_backend() == "cpu" else CHUNK_ON_GPU
+        size = CHUNK_ON_GPU
+        if jax.default_backend() == "cpu":
+            size = FEWEST if self.bad.size > FEW else FEW
         parts = [np.arange(start, min(start + size, lanes.size)) for start in range(0, lanes.size, size)]
 
         def one(part: np.ndarray) -> None:
@@ -84,12 +94,15 @@ class LockstepLanes:
         index = np.concatenate([np.arange(lanes.size), np.zeros(size - lanes.size, int)])
         moved = [ratio * numbers[index, parameter] for parameter, ratio in self.driven]
         columns = [*moved, *(np.ascontiguousarray(column[..., lanes[index]]) for column in self.fixed)]
+        shown, partials = None, None
         if slopes:
-            shown, partials = self._differentiated(tuple(columns), level)
+            coarse = max(level - COARSER, 0)
+            shown, partials = self._differentiated(tuple(columns), coarse)
+            shown = shown if coarse == level else None
             partials = np.moveaxis(partials[..., : lanes.size], -1, 0).swapaxes(2, 3).astype(np.float64)
             partials = self._by_parameter(partials)
-        else:
-            shown, partials = self._simulated(columns, size, level), None
+        if shown is None:
+            shown = self._simulated(columns, size, level)
         shown = np.moveaxis(shown[..., : lanes.size], -1, 0).astype(np.float64)
         good = np.isfinite(shown).all(axis=(1, 2)) & ~self.bad[lanes]
         if partials is not None:
@@ -214,10 +227,12 @@ def _own_numbers(first: Problem, own: Sequence[dict[str, float]]) -> dict[tuple[
 
 def _records(first: Problem, recordings: Sequence[Recording], interpolation: str) -> dict[tuple[str, ...], np.ndarray]:
     """Records of inputs that are not the same in all recordings, (samples, lanes) each."""
-    signals = [recorded_inputs(first.circuit, recording, interpolation) for recording in recordings]
+    for recording in recordings:
+        if not all(name in recording.channels and recording.mask[name].all() for name in first.inputs):
+            recorded_inputs(first.circuit, recording, interpolation)  # says what is wrong
     columns = {}
-    for name in signals[0]:
-        values = np.stack([np.asarray(lane[name].values) for lane in signals], axis=-1)
+    for name in first.inputs:
+        values = np.stack([recording.channels[name] for recording in recordings], axis=-1)
         if not np.all(values == values[:, :1]):
             columns[f"{name}.values",] = values
     return columns
