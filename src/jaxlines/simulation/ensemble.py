@@ -174,8 +174,8 @@ class EnsembleProgram:
         program = program or self.program
         tolerance = np.asarray(self.tolerance if program is self.program else 1e-2 * self.tolerance)
         with computing_in(self.precision):
-            data = cast((self.values, chosen, self.grid), self.precision)
-            result = run_chunk(program, *data, np.asarray(steps), np.asarray(tolerance, self.precision))
+            values, chosen, grid = cast((self.values, chosen, self.grid), self.precision)
+            result = run_chunk(program, values, chosen, grid, np.asarray(steps), np.asarray(tolerance, self.precision))
             return jax.tree.map(lambda x: np.asarray(x)[..., : part.size], result)
 
 
@@ -252,7 +252,7 @@ def make_program(
     max_steps: int,
 ) -> EnsembleProgram:
     """A program without engine, steps and audit yet; see `prepare_ensemble`."""
-    times = checked_times(times)
+    times = np.asarray(checked_times(times))
     if not 1e-12 <= tolerance <= 0.1:
         raise ValueError(f"tolerance must be 1e-12..0.1 (a share of each output's magnitude), got {tolerance:g}")
     if initial is not None and not isinstance(initial, dict):

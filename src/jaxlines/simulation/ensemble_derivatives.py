@@ -98,9 +98,7 @@ def _steps(program: EnsembleProgram) -> int:
     return program.steps
 
 
-def ensemble_jacobian(
-    program: EnsembleProgram, varied: Varied, *, chunk: int | None = None
-) -> EnsembleJacobian:
+def ensemble_jacobian(program: EnsembleProgram, varied: Varied, *, chunk: int | None = None) -> EnsembleJacobian:
     """Outputs and reductions of every lane and their derivatives in all varied numbers, by forward sensitivities.
 
     The derivatives are those of the computed solution, exactly (no finite differences). For up to some tens of

@@ -10,7 +10,7 @@ import numpy as np
 from jaxlines.simulation.assembly import Location, set_numbers
 from jaxlines.simulation.block_field import BlockField
 from jaxlines.simulation.integration import Method, integrate
-from jaxlines.simulation.lane_field import LaneField
+from jaxlines.simulation.lane_field import BoundField, LaneField
 from jaxlines.simulation.lockstep import explicit_interval, march
 from jaxlines.simulation.lockstep_adjoint import march_adjoint
 from jaxlines.simulation.lockstep_tangent import march_tangent
@@ -73,12 +73,17 @@ def numbers_of_lane(program: LaneProgram, values: Values, numbers) -> Values:
     return set_numbers(values, locations, repeated)
 
 
-def field_of(program: LaneProgram, values: Values, columns, t, partials: bool = False, differentiated=None):
-    """The vector field of the lanes; differentiated: see `LaneField.bind`."""
-    if program.small or partials:
-        field = LaneField(program.plan, values, program.places, program.observed, program.fixed)
-        return field.bind(values, columns, t, partials, differentiated)
-    return _blocks(program, values, columns, t)
+def small_field(
+    program: LaneProgram, values: Values, columns, t, partials: bool = False, differentiated=None
+) -> BoundField:
+    """The vector field of the lanes of a small circuit; differentiated: see `LaneField.bind`."""
+    field = LaneField(program.plan, values, program.places, program.observed, program.fixed)
+    return field.bind(values, columns, t, partials, differentiated)
+
+
+def field_of(program: LaneProgram, values: Values, columns, t) -> BoundField | BlockField:
+    """The vector field of the lanes."""
+    return (small_field if program.small else _blocks)(program, values, columns, t)
 
 
 def _marched(program: LaneProgram, values: Values, columns, grid, steps):
@@ -189,7 +194,7 @@ def chunk_tangent(program: LaneProgram, values: Values, columns, grid, steps, di
     """
     differentiated = tuple(range(len(columns)) if differentiated is None else differentiated)
     if program.small and program.engine == "explicit":
-        return march_tangent(field_of(program, values, columns, grid[0, -1], True, differentiated), grid, steps)
+        return march_tangent(small_field(program, values, columns, grid[0, -1], True, differentiated), grid, steps)
 
     def outputs(columns):
         return _marched(program, values, columns, grid, steps)[0]
@@ -213,7 +218,7 @@ def lane_outputs(program: LaneProgram, values: Values, grid, steps: int):
         return marched if program.engine == "implicit" else jax.checkpoint(marched)
 
     def bound(columns, partials):
-        return field_of(program, values, columns, grid[0, -1], partials)
+        return small_field(program, values, columns, grid[0, -1], partials)
 
     @jax.custom_vjp
     def outputs(columns):
