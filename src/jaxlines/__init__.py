@@ -24,7 +24,9 @@ if TYPE_CHECKING:  # the public names; each is imported when it is first used (s
     from jaxlines.edge.study import Study as Study, load_study as load_study
     from jaxlines.edge.units import si as si
     from jaxlines.inference.batch import BatchFit as BatchFit, fit_batch as fit_batch
+    from jaxlines.inference.budget import Source as Source, measurement_budget as measurement_budget
     from jaxlines.inference.circuit_sweep import circuit_plan as circuit_plan, sweep as sweep
+    from jaxlines.inference.comparison import compare as compare
     from jaxlines.inference.distributions import (
         Discrete as Discrete,
         LogNormal as LogNormal,
@@ -35,13 +37,24 @@ if TYPE_CHECKING:  # the public names; each is imported when it is first used (s
         Uniform as Uniform,
     )
     from jaxlines.inference.fit import fit as fit
+    from jaxlines.inference.fit_result import Fit as Fit
+    from jaxlines.inference.identifiability import assess as assess, structure as structure
     from jaxlines.inference.input_noise import InputNoise as InputNoise
+    from jaxlines.inference.least_squares import (
+        FunctionProblem as FunctionProblem,
+        LeastSquaresProblem as LeastSquaresProblem,
+        multi_start as multi_start,
+        solve as solve,
+    )
     from jaxlines.inference.loss import Loss as Loss
     from jaxlines.inference.noise import Noise as Noise
     from jaxlines.inference.parameters import Free as Free, Known as Known
+    from jaxlines.inference.posterior import sample_posterior as sample_posterior
     from jaxlines.inference.priors import Prior as Prior
+    from jaxlines.inference.profiles import interval as interval, profile_curve as profile_curve
     from jaxlines.inference.recording import Recording as Recording
     from jaxlines.inference.recording_check import check_recording as check_recording
+    from jaxlines.inference.robust_covariance import uncertainty_under_noise as uncertainty_under_noise
     from jaxlines.inference.samplers import (
         Grid as Grid,
         LatinHypercube as LatinHypercube,
@@ -53,6 +66,7 @@ if TYPE_CHECKING:  # the public names; each is imported when it is first used (s
     )
     from jaxlines.inference.sweep import run_sweep as run_sweep
     from jaxlines.inference.sweep_result import SweepResult as SweepResult
+    from jaxlines.inference.traced import as_function as as_function
     from jaxlines.inference.uncertain import (
         Draws as Draws,
         JointNormal as JointNormal,

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from jaxlines.inference import batch_search
+from jaxlines.inference import batch_search, batch_verdict
 from jaxlines.inference.batch_lanes import Batch as Batch, checked_starts, make_batch as make_batch
 from jaxlines.inference.noise import Noise
 from jaxlines.inference.parameters import Free
@@ -64,12 +64,12 @@ class BatchFit:
 def _result(batch: Batch, state: batch_search.Searches, began: float) -> BatchFit:
     """Judge every lane and give its estimates their standard deviations."""
     bounds = batch_search.bounds_of(batch)
-    verdicts = [batch_search.judge(batch, state, lane, bounds) for lane in range(batch.lanes)]
+    verdicts = [batch_verdict.judge(batch, state, lane, bounds) for lane in range(batch.lanes)]
     misfit = np.where(batch.used, state.simulated - batch.measured, 0.0)
     return BatchFit(
         names=tuple(f.label for f in batch.free),
         values=batch.to_values(state.coordinates),
-        sd=batch_search.standard_deviations(batch, state, bounds),
+        sd=batch_verdict.standard_deviations(batch, state, bounds),
         status=tuple(verdict.status for verdict in verdicts),
         rmse=np.sqrt((misfit**2).sum(axis=1) / np.maximum(batch.used.sum(axis=1), 1)),
         simulated=state.simulated,
