@@ -91,8 +91,10 @@ class EnsembleProgram:
             6 * self._num_states() + sum(np.size(leaf) for leaf in jax.tree.leaves(self.values.kinds))
         )
         fits = FEWEST * max(int(CACHE_BYTES / (FEWEST * width)), 1)
-        share = -(-lanes // workers())
-        return int(np.clip(min(_power_of_two(fits + 1) // 2, _power_of_two(share)), FEWEST, MOST_ON_CPU))
+        # Few sizes, so that programs serve other numbers of lanes too; the largest of those that are done first.
+        sizes = [size for k in range(7, 14) for size in (2**k, 3 * 2 ** (k - 1)) if not size % FEWEST]
+        sizes = [size for size in sizes if size <= min(fits, MOST_ON_CPU)] or [FEWEST]
+        return min(reversed(sizes), key=lambda size: -(-lanes // (size * workers())) * size)
 
     def _num_states(self) -> int:
         plan = self.program.plan
@@ -172,7 +174,7 @@ class EnsembleProgram:
         index = np.concatenate([part, np.full(size - part.size, part[0])])
         chosen = tuple(np.ascontiguousarray(column[..., as_slice(index)]) for column in columns)
         program = program or self.program
-        tolerance = np.asarray(self.tolerance if program is self.program else 1e-2 * self.tolerance)
+        tolerance = 1e-2 * self.tolerance  # of each step of the adaptive engine, whose errors add up
         with computing_in(self.precision):
             values, chosen, grid = cast((self.values, chosen, self.grid), self.precision)
             result = run_chunk(program, values, chosen, grid, np.asarray(steps), np.asarray(tolerance, self.precision))

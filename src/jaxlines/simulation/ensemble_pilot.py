@@ -11,12 +11,24 @@ from jaxlines.simulation.ensemble import EnsembleProgram, make_program
 from jaxlines.simulation.ensemble_columns import Varied, columns_of, extreme_lanes, out_of_range
 from jaxlines.simulation.ensemble_program import ENGINES
 from jaxlines.simulation.ensemble_result import Audit, Ensemble
-from jaxlines.simulation.ensemble_search import MOST_STEPS, MOST_TRIALS, Pilot, Say, implicit_method, lane_errors
+from jaxlines.simulation.ensemble_search import (
+    MOST_STEPS,
+    MOST_TRIALS,
+    SAFETY,
+    Pilot,
+    Say,
+    implicit_method,
+    lane_errors,
+    worst,
+)
 from jaxlines.simulation.graded_steps import cut_times, step_times
 from jaxlines.simulation.reductions import AbstractReduction
 
 PILOT_LANES = 48
 """Lanes of the pilot at most: the extremes of each varied number, and random ones."""
+
+TIGHTEST = 1e-4
+"""The adaptive solver's tolerance in the audit over that of a first audit, at least: it may be what is not exact."""
 
 MOST_CUTS = {"explicit": 1024, "implicit": 16}
 """Steps of a piece beyond which the audit makes them no shorter."""
@@ -60,7 +72,8 @@ def _audited(pilot: Pilot, lanes: np.ndarray, fixed: bool) -> tuple[EnsembleProg
     opens), embedded estimates hardly tell one lane from another; what they do tell is a lane unlike those seen.
     """
     program, engine = pilot.program, pilot.program.program.engine
-    exact = pilot.exact(program, lanes)
+    tighter = 1e-2 if engine == "adaptive" else 1.0
+    exact = pilot.exact(program, lanes, tighter)
     while True:
         found, estimate = pilot.run(program, 1, lanes)
         errors = lane_errors(found, exact)
@@ -68,7 +81,12 @@ def _audited(pilot: Pilot, lanes: np.ndarray, fixed: bool) -> tuple[EnsembleProg
         enough = not np.nanmax(errors, initial=0.0) > program.tolerance
         if fixed or engine == "adaptive" or enough or program.steps >= MOST_CUTS[engine]:
             break
-        program = dataclasses.replace(program, steps=-(-3 * program.steps // 2))
+        agrees = worst(found, pilot.run(program, 2, lanes)[0]) <= program.tolerance / SAFETY
+        if agrees and tighter > TIGHTEST:  # with twice as many steps, so that the solver is what is not exact
+            tighter *= 1e-2
+            exact = pilot.exact(program, lanes, tighter)
+        else:
+            program = dataclasses.replace(program, steps=-(-3 * program.steps // 2))
     factor = 1.0
     if engine != "adaptive":
         coarse, pilot_estimate = pilot.run(program)

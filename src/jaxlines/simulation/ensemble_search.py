@@ -61,13 +61,17 @@ class Pilot:
         good = np.isin(found.status, [STATUS["ok"], STATUS["tension"]])
         return np.where(good, found.series, np.nan), found.estimate
 
-    def exact(self, program: EnsembleProgram, lanes: np.ndarray) -> np.ndarray:
-        """The outputs of some lanes by the adaptive solver, implicit where the program's engine is."""
+    def exact(self, program: EnsembleProgram, lanes: np.ndarray, tighter: float = 1.0) -> np.ndarray:
+        """The outputs of some lanes by the adaptive solver at a hundredth of the tolerance times `tighter`.
+
+        It is implicit where the program's engine is.
+        """
         method = (
             implicit_method(program.program.method) if program.program.engine == "implicit" else program.program.method
         )
         adaptive = program.program._replace(engine="adaptive", method=method)
-        return self.run(dataclasses.replace(self.program, program=adaptive), 1, lanes)[0]
+        tolerance = tighter * self.program.tolerance
+        return self.run(dataclasses.replace(self.program, program=adaptive, tolerance=tolerance), 1, lanes)[0]
 
     def explicit(self) -> Ladder:
         """The explicit engine with more and more steps, as a method of fourth order needs them for its last error."""
