@@ -5,10 +5,9 @@
 The servo axis (servo_axis.py): a servovalve, two lines with entrained air, a motor with inertia; five states, nine
 varied numbers, 2 s, 201 samples. Peers (extra `bench`, a C compiler): vmap(diffrax), parallel Numba, SUNDIALS, SciPy,
 CasADi, and C with SIMD over lanes in the scheme of our explicit engine, the bound. Each runs at several settings;
-errors are against a reference to rounding. Compared is the fastest
-setting of a peer whose rms error is no smaller than ours and at most four times as large (else the next larger), so that
-the peer is at least as fast as at equal error. Times on the clock, compiled, best of
-some repeats.
+errors are against a reference to rounding. Compared is the fastest setting of a peer whose rms error is no smaller
+than ours and at most four times as large (else the next larger), so that the peer is at least as fast as at equal
+error. Times on the clock, compiled, best of some repeats.
 
 Parts: difference (our vector field against the plain one), axis, derivatives, first (time to the first result, in
 processes of their own), stiff, line, scaling (1e3 to 1e6 lanes). Writes results.json: rows, ratios, targets. Exits
