@@ -19,7 +19,7 @@ from ensemble_peers import CORES, Missing, Run, best_seconds, in_threads
 from ensemble_peers_c_source import c_source
 from servo_axis import SAMPLES, command, matrix, times
 
-FLAGS = ("-O3", "-march=native", "-ffast-math", "-fopenmp-simd", "-shared", "-fPIC")
+FLAGS = ("-O3", "-march=native", "-ffast-math", "-fopenmp-simd", "-fPIC", "-c")
 
 
 class Build(NamedTuple):
@@ -53,13 +53,18 @@ def library(precision: str, build: Build = BEST) -> Library:
     if compiler is None:
         raise Missing("no gcc on this machine")
     with tempfile.TemporaryDirectory(prefix="simd_bound_") as folder:
-        source, target = Path(folder) / "bound.c", Path(folder) / "bound.so"
+        source, part, target = (Path(folder) / f"bound.{kind}" for kind in ("c", "o", "so"))
         source.write_text(c_source(precision, build.mathematics, build.lands, build.width), encoding="utf-8")
-        order = [compiler, *FLAGS, *build.flags, str(source), "-o", str(target), "-lm"]
+        # Linked without -ffast-math, which would make the whole process flush small numbers to zero.
+        orders = [
+            [compiler, *FLAGS, *build.flags, str(source), "-o", str(part)],
+            [compiler, "-shared", str(part), "-o", str(target), *build.flags, "-lm"],
+        ]
         began = time.perf_counter()
-        built = subprocess.run(order, capture_output=True, text=True, check=False)
-        if built.returncode:
-            raise Missing(f"gcc could not compile the bound: {built.stderr[-500:]}")
+        for order in orders:
+            built = subprocess.run(order, capture_output=True, text=True, check=False)
+            if built.returncode:
+                raise Missing(f"gcc could not compile the bound: {built.stderr[-500:]}")
         seconds = time.perf_counter() - began
         function, calls = ctypes.CDLL(str(target)).simulate, b"_ZGV" in target.read_bytes()
     real = ctypes.c_double if precision == "float64" else ctypes.c_float

@@ -11,7 +11,7 @@ from scipy.linalg import expm
 from scipy.signal import cont2discrete
 
 import jaxlines as jl
-from jaxlines.inference.problem import sensitivity
+from jaxlines.inference.programs import Place, sensitivity
 from jaxlines.physics.component import AbstractComponent, Contribution, Situation, State
 from jaxlines.physics.controllers import PIController, PIDController, SampledController, smooth_limits
 from jaxlines.physics.fields import ROTATIONAL, port
@@ -212,7 +212,7 @@ def test_sensitivities_integrated_with_the_states():
     with jax.enable_x64(True):
         plan, values = compile_circuit(circuit, None, {"demand": jl.Constant(1.0)})
         known, method = number_locations(plan, values), make_method(None, "forward", 10_000)
-        places, groups = tuple(known[path] for path in PATHS), tuple((i,) for i in range(len(PATHS)))
+        places, groups = tuple(Place(*known[path]) for path in PATHS), tuple((i,) for i in range(len(PATHS)))
         numbers = jnp.asarray(NUMBERS), jnp.asarray(NUMBERS)
         found = sensitivity(
             plan, ("s.speed", "loop.output"), method, places, groups, *numbers, values, TIMES, np.asarray(1e-9)
