@@ -1,5 +1,6 @@
 """The comparison of ensembles with their peers: which settings are compared, and what becomes of a missed claim."""
 
+import importlib
 import sys
 from pathlib import Path
 
@@ -13,9 +14,7 @@ pytest.importorskip("diffrax")
 def speed():
     sys.path.insert(0, str(EXPERIMENTS))
     try:
-        import speed_ensemble
-
-        yield speed_ensemble
+        yield importlib.import_module("speed_ensemble")
     finally:
         sys.path.remove(str(EXPERIMENTS))
 
