@@ -71,7 +71,7 @@ def axis_rows(columns, reference: Reference, repeats: int = 5) -> list[Row]:
 def variant_rows(name: str, program: jl.EnsembleProgram, varied, output: str, reference, repeats: int = 2) -> list[Row]:
     """Our row on another problem."""
     run = run_of(program, varied, output, repeats)
-    how = f"{name}, auto: {program.description['engine']}, {program.description['steps']} steps"
+    how = f"{name}: {program.description['engine']}, {program.description['steps']} steps"
     return [measured("jaxlines", "float64", how, run, reference)]
 
 

@@ -94,6 +94,8 @@ class EnsembleProgram:
         # Few sizes, so that programs serve other numbers of lanes too; the largest of those that are done first.
         sizes = [size for k in range(7, 14) for size in (2**k, 3 * 2 ** (k - 1)) if not size % FEWEST]
         sizes = [size for size in sizes if size <= min(fits, MOST_ON_CPU)] or [FEWEST]
+        if lanes >= 4 * sizes[-1] * workers():
+            return sizes[-1]
         return min(reversed(sizes), key=lambda size: -(-lanes // (size * workers())) * size)
 
     def _num_states(self) -> int:
