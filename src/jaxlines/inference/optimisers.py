@@ -134,7 +134,7 @@ def minimise(
     seed: int = 0,
     tolerance: float = 1e-3,
 ) -> Minimum:
-    """Minimise with an optimiser of Optax, over random batches, and keep the best iterate of the last full passes.
+    """Minimise with an optimiser of Optax, over random batches; the last iterate counts.
 
     Coordinates are scaled by the widths of finite bounds, so that a learning rate of 0.01 moves each by about 1 % of
     its width; a step that leaves the bounds is cut back to them (projection).
