@@ -1,6 +1,7 @@
 """Ensembles: many lanes in step against closed forms and single simulations, whatever the chunks, failures and all."""
 
 import dataclasses
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -244,6 +245,12 @@ def test_wrong_calls_are_refused():
         call(good, engine="fast")
     with pytest.raises(ValueError, match="steady state"):
         jl.ensemble(draining(), TIMES, good, initial="steady")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match=r"volume must have the shape \(lanes\)"):
+        call({"vessel.volume": np.ones((2, 3))})
+    wrong: Any
+    for wrong in ([jl.Peak("A.pressure")], {"peak": jl.Peak}):
+        with pytest.raises(TypeError, match="by name"):
+            call(good, reductions=wrong)
     with pytest.raises(ValueError, match="percent"):
         jl.TimeQuantile("A.pressure", 95.0)
     with pytest.raises(KeyError, match="output"):

@@ -99,6 +99,14 @@ def test_gradient_in_whole_records():
         jl.ensemble_jacobian(program, {"spool.values": records})
 
 
+def test_a_time_of_peak_has_no_derivative():
+    values = {"vessel.volume": np.array([1e-3, 2e-3])}
+    when = {"when": jl.TimeOfPeak("A.pressure")}
+    program = jl.prepare_ensemble(draining(), TIMES, values, reductions=when, steps=1, engine="explicit", audit=0)
+    with pytest.raises(ValueError, match="no derivative"):
+        jl.ensemble_jacobian(program, values)
+
+
 def test_an_objective_of_the_wrong_shape_is_refused(program, values):
     with pytest.raises(ValueError, match="one number for each lane"):
         jl.ensemble_gradient(program, lambda times, outputs: jnp.sum(outputs["gauge"]), values)

@@ -79,12 +79,6 @@ def hessian_covariance(second, variance: float = 1.0) -> np.ndarray:
     return variance * (vectors / values) @ vectors.T / np.outer(size, size)
 
 
-def to_physical(covariance, slopes) -> np.ndarray:
-    """Covariance of values from that of coordinates; slopes: d value / d coordinate, or a matrix of them."""
-    matrix = np.diag(slopes) if np.ndim(slopes) == 1 else np.asarray(slopes)
-    return matrix @ covariance @ matrix.T
-
-
 @dataclasses.dataclass(frozen=True)
 class Laplace:
     """A normal approximation of the posterior, ln p(x) = ln p(mean) - (x - mean)' C^-1 (x - mean)/2.

@@ -8,9 +8,6 @@ import numpy as np
 from jaxlines.inference.curvature import column_scale
 from jaxlines.inference.least_squares import LeastSquaresProblem, Solution, solve
 
-CHI_SQUARED_95 = 3.841458820694124
-"""95 % point of chi-squared with one degree of freedom."""
-
 ITERATIONS = 100
 UNSEEN = 1e-10
 """Singular values of the scaled Jacobian below this part of the largest count as none."""

@@ -12,7 +12,15 @@ import numpy as np
 
 from jaxlines.simulation.assembly import compile_circuit, number_locations
 from jaxlines.simulation.circuit import Circuit
-from jaxlines.simulation.ensemble_columns import Varied, as_slice, columns_of, out_of_range, places_of
+from jaxlines.simulation.ensemble_columns import (
+    Varied,
+    as_slice,
+    check_shapes,
+    columns_of,
+    out_of_range,
+    places_of,
+    why_out_of_range,
+)
 from jaxlines.simulation.ensemble_program import ChunkResult, LaneProgram, is_small, run_chunk
 from jaxlines.simulation.ensemble_result import LANE_STATUS, Audit, Ensemble
 from jaxlines.simulation.graded_steps import graded_grid, step_times
@@ -242,6 +250,17 @@ def checked_chunk(chunk: int) -> int:
     return int(chunk)
 
 
+def checked_reductions(reductions) -> dict[str, AbstractReduction]:
+    """Reductions by name. Raises: TypeError that shows how they are given."""
+    how = 'reductions must be by name, such as {"peak": Peak("A.pressure")}'
+    if reductions is not None and not isinstance(reductions, dict):
+        raise TypeError(f"{how}, got {reductions!r}")
+    for name, reduction in (reductions or {}).items():
+        if not isinstance(reduction, AbstractReduction):
+            raise TypeError(f"{how}, got {reduction!r} for {name!r}")
+    return dict(reductions or {})
+
+
 def make_program(
     circuit: Circuit,
     times,
@@ -264,14 +283,16 @@ def make_program(
             f"initial must be a table of start values, got {initial!r}: every lane would have its own steady state; "
             "let the inputs rest for a while before what you are after"
         )
-    columns, reductions = columns_of(varied), dict(reductions or {})
+    columns, reductions = columns_of(varied), checked_reductions(reductions)
     with computing_in(precision):
         bound = bind_inputs(circuit, inputs, times)
         circuit = choose_segments(circuit, times, bound, initial=initial)
         plan, values = compile_circuit(circuit, initial, bound)
         places = places_of(varied, number_locations(plan, values))
+    check_shapes(values, places, columns)
     if out_of_range(circuit, list(places), columns).all():
-        raise ValueError("no lane has all its varied numbers within their ranges: are they in SI?")
+        why = why_out_of_range(circuit, list(places), columns)
+        raise ValueError(f"no lane has all its varied numbers within their ranges: are they in SI? In lane 0, {why}")
     shown = wanted_units(circuit, plan, [] if outputs is None and reductions else outputs)
     needed = wanted_units(circuit, plan, [name for r in reductions.values() for name in r.outputs])
     pressures = {f"{node}.pressure": "Pa" for node, domain in plan.free_nodes if domain == "hydraulic"}

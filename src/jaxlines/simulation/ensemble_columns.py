@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+import jax
 import numpy as np
 
 from jaxlines.simulation.assembly import Location
@@ -60,6 +61,31 @@ def out_of_range(circuit: Circuit, paths: list[tuple[str, ...]], columns: list[n
             elif owner == "initial" and name.endswith(".pressure"):
                 bad |= ~(rows > 0.0).all(axis=0)
     return bad
+
+
+def check_shapes(values, places: dict[tuple[str, ...], tuple[Location, ...]], columns: list[np.ndarray]) -> None:
+    """Raise ValueError unless each varied number is one number a lane, or a record as long as that of the circuit."""
+    leaves = jax.tree.leaves(values)
+    for (paths, found), column in zip(places.items(), columns, strict=True):
+        for path, (position, index) in zip(paths, found, strict=True):
+            wanted = np.shape(leaves[position] if index is None else np.asarray(leaves[position])[index])
+            if column.shape[:-1] != wanted:
+                shown = ", ".join(map(str, ("lanes", *wanted)))
+                raise ValueError(f"{path} must have the shape ({shown}), got {(column.shape[-1], *column.shape[:-1])}")
+
+
+def why_out_of_range(circuit: Circuit, paths: list[tuple[str, ...]], columns: list[np.ndarray]) -> str:
+    """The first varied number that is out of range in the first lane, in words."""
+    for names, column in zip(paths, columns, strict=True):
+        if out_of_range(circuit, [names], [column])[0]:
+            owner = names[0].partition(".")[0]
+            known = owner == "fluid" or owner in circuit.components
+            about = field_metadata(circuit, names[0]) if known else {"low": 0.0, "high": np.inf, "unit": "Pa"}
+            slip = f": {about['slip']}" if about.get("slip") else ""
+            unit = "" if about.get("unit", "1") == "1" else f" {about['unit']}"
+            ends = f"{about.get('low', -np.inf):g}..{about.get('high', np.inf):g}{unit}"
+            return f"{names[0]} must be {ends}, got {column.ravel()[0]:g}{slip}"
+    return "several"
 
 
 def extreme_lanes(columns: list[np.ndarray], count: int, seed: int) -> np.ndarray:

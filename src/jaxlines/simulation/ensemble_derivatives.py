@@ -111,6 +111,9 @@ def ensemble_jacobian(program: EnsembleProgram, varied: Varied, *, chunk: int | 
     for paths, column in zip(program.paths, columns, strict=True):
         if column.ndim > 1:
             raise ValueError(f"{paths[0]} is a record in each lane: use ensemble_gradient for its derivatives")
+    for name, reduction in zip(program.names, program.program.reductions, strict=True):
+        if not reduction.differentiable:
+            raise ValueError(f"{name} ({type(reduction).__name__}) has no derivative: leave it out, or take a Crossing")
     lanes, kind = columns[0].shape[-1], program.precision
     kept = [program.program.observed[i] for i in program.program.kept]
     labels = [paths[0] for paths in program.paths]

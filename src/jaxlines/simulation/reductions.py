@@ -7,14 +7,16 @@ compiled program, so that no time series of an ensemble has to be kept.
 import abc
 import dataclasses
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 
 
 @dataclasses.dataclass(frozen=True)
 class AbstractReduction(abc.ABC):
-    """One number for each lane, from one or several outputs."""
+    """One number for each lane, from one or several outputs. differentiable: whether it has a derivative."""
+
+    differentiable: ClassVar[bool] = True
 
     @property
     @abc.abstractmethod
@@ -55,7 +57,12 @@ class Trough(OfOneOutput):
 
 @dataclasses.dataclass(frozen=True)
 class TimeOfPeak(OfOneOutput):
-    """The saved time at which the output is largest [s]; the first of several. Has no derivative."""
+    """The saved time at which the output is largest [s]; the first of several.
+
+    It is one of the saved times and jumps between them, so that its derivative is an error, not a silent zero.
+    """
+
+    differentiable = False
 
     def __call__(self, times, series):
         return times[jnp.argmax(series, axis=0)]
