@@ -3,7 +3,7 @@
 import dataclasses
 import os
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -253,7 +253,7 @@ def checked_chunk(chunk: int) -> int:
 def checked_reductions(reductions) -> dict[str, AbstractReduction]:
     """Reductions by name. Raises: TypeError that shows how they are given."""
     how = 'reductions must be by name, such as {"peak": Peak("A.pressure")}'
-    if reductions is not None and not isinstance(reductions, dict):
+    if reductions is not None and not isinstance(reductions, Mapping):
         raise TypeError(f"{how}, got {reductions!r}")
     for name, reduction in (reductions or {}).items():
         if not isinstance(reduction, AbstractReduction):
@@ -268,7 +268,7 @@ def make_program(
     inputs: dict | None,
     initial: dict | None,
     outputs: Iterable[str] | None,
-    reductions: dict[str, AbstractReduction] | None,
+    reductions: Mapping[str, AbstractReduction] | None,
     tolerance: float,
     precision: str,
     solver,

@@ -2,7 +2,7 @@
 
 import dataclasses
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -108,7 +108,7 @@ def prepare_ensemble(
     *,
     initial: dict | None = None,
     outputs: Iterable[str] | None = None,
-    reductions: dict[str, AbstractReduction] | None = None,
+    reductions: Mapping[str, AbstractReduction] | None = None,
     tolerance: float = 1e-4,
     engine: str = "auto",
     steps: int | Sequence[float] | None = None,
@@ -176,7 +176,7 @@ def ensemble(
     *,
     initial: dict | None = None,
     outputs: Iterable[str] | None = None,
-    reductions: dict[str, AbstractReduction] | None = None,
+    reductions: Mapping[str, AbstractReduction] | None = None,
     tolerance: float = 1e-4,
     engine: str = "auto",
     steps: int | Sequence[float] | None = None,
