@@ -16,7 +16,7 @@ from jaxlines.physics.lines import Line
 from jaxlines.physics.resistances import LaminarLeak
 from jaxlines.physics.sources import FlowSource, Tank
 from jaxlines.simulation.circuit import Circuit
-from jaxlines.simulation.reductions import Crossing, Custom, Final, Peak
+from jaxlines.simulation.reductions import Crossing, Custom, Final, Peak, TimeOfPeak
 from jaxlines.simulation.simulate import simulate
 
 TIMES = np.linspace(0.0, 1.0, 21)
@@ -117,6 +117,15 @@ def test_units_and_limits_come_from_the_circuit():
     assert model.units == {"A.pressure": "Pa", "t": "s", "p": "Pa", "own": "1"}
     assert model.limits("initial.A.pressure") == (0.0, 1e9, "Pa")
     assert model.limits("fluid.bulk_modulus")[2] == "Pa"
+
+
+def test_a_time_of_peak_has_no_derivative_but_a_linear_propagation():
+    outputs = {"peak": Peak("A.pressure"), "when": TimeOfPeak("A.pressure")}
+    with pytest.raises(ValueError, match="'when' has no derivative: leave it out, take a Crossing"):
+        circuit_plan(CIRCUIT, TIMES, NUMBERS, inputs={"flow": 1e-4}, outputs=outputs, derivatives=True)
+    linear = sweep(CIRCUIT, TIMES, NUMBERS, 64, inputs={"flow": 1e-4}, outputs=outputs).found.linear
+    assert linear["peak"].method == "exact derivatives"
+    assert linear["when"].method != "exact derivatives"
 
 
 def test_a_table_is_run_row_by_row():

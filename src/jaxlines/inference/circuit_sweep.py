@@ -121,9 +121,18 @@ class CircuitProgram:
         self.derivatives = None if self.description["engine"] == "adaptive" else self._derivatives
 
     def _derivatives(self, varied: dict[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]]:
-        """Reduction -> path -> exact derivatives, shape (lanes,)."""
+        """Reduction that has derivatives -> path -> exact derivatives, shape (lanes,)."""
         lanes: Varied = {**varied}
-        return ensemble_jacobian(self.program, lanes, chunk=DERIVATIVE_LANES).reduction_slopes
+        return ensemble_jacobian(self._differentiable, lanes, chunk=DERIVATIVE_LANES).reduction_slopes
+
+    @functools.cached_property
+    def _differentiable(self) -> EnsembleProgram:
+        """The program with those of its reductions that have derivatives."""
+        inner = self.program.program
+        kept = [k for k, reduction in enumerate(inner.reductions) if reduction.differentiable]
+        reductions, taken = (tuple(of[k] for k in kept) for of in (inner.reductions, inner.taken))
+        inner = inner._replace(reductions=reductions, taken=taken)
+        return dataclasses.replace(self.program, names=tuple(self.program.names[k] for k in kept), program=inner)
 
 
 def reduced_unit(reduction: Any, units: Mapping[str, str]) -> str:
@@ -207,6 +216,9 @@ def circuit_plan(
     """The plan of a circuit's sweep. Arguments and errors as `sweep`."""
     numbers = uncertain_numbers(uncertain, correlation)
     series, reductions = named_outputs(outputs)
+    without = [name for name, reduction in reductions.items() if not reduction.differentiable]
+    if derivatives and without:
+        raise ValueError(f"{without[0]!r} has no derivative: leave it out, take a Crossing, or derivatives=False")
     if sampler is None:
         alone = not numbers.single and len(numbers.joint) == 1 and isinstance(numbers.joint[0], Draws)
         rows = len(numbers.joint[0].rows) if alone else 0  # pyright: ignore[reportAttributeAccessIssue]
