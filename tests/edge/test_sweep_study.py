@@ -76,7 +76,7 @@ above = ["8 bar_g", "9 MPa_a"]
 [[sweep.reduction]]
 type = "Crossing"
 output = "A.pressure"
-options = { level = 5e5 }
+options = { level = "5 bar_a" }
 """  # noqa: E501
 
 

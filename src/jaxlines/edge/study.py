@@ -1,5 +1,6 @@
 """Study files: a circuit, a recording, what is free and what to simulate, in TOML with units."""
 
+import contextlib
 import dataclasses
 import importlib.resources
 import tomllib
@@ -18,7 +19,7 @@ from jaxlines.edge.fit_tables import (
 )
 from jaxlines.edge.naming import Names, at, look_up, names_of
 from jaxlines.edge.study_positions import with_positions
-from jaxlines.edge.tables import NumericsTable, SimulateTable, check_layout
+from jaxlines.edge.tables import NumericsTable, SimulateTable, StudyTable, check_layout
 from jaxlines.inference.fit import fit
 from jaxlines.inference.fit_result import Fit
 from jaxlines.inference.parameters import Free, Known
@@ -155,9 +156,8 @@ def _numerics(table: NumericsTable) -> dict:
     return {**table.model_dump(exclude={"solver"}), "solver": solver}
 
 
-def _build(content: dict, folder: Path, source: str) -> Study:
-    """A study from the content of its file."""
-    layout = check_layout(content)
+def build_study(layout: StudyTable, folder: Path, source: str) -> Study:
+    """A study from the tables of its file."""
     circuit, builder = build_circuit(layout.fluid, layout.circuit)
     with at("circuit"):
         names = names_of(circuit)
@@ -191,14 +191,14 @@ def _locate(source: str) -> Path:
     return path
 
 
-def load_study(source) -> Study:
-    """Read a study from a TOML file, or "example:NAME" from the package.
+@contextlib.contextmanager
+def study_file(source):
+    """The content of a study file and its path, to be read inside: mistakes name the file, the line and the column.
 
-    Raises: StudyError, in one line that starts with the file, for anything that is wrong in it.
+    Raises: StudyError for a file that cannot be read.
     """
-    source = str(source)
-    path = _locate(source)
-    with at(source):
+    path = _locate(str(source))
+    with at(str(source)):
         if not path.is_file():
             raise StudyError("is a folder, not a study file" if path.is_dir() else "no such file")
         try:
@@ -207,4 +207,13 @@ def load_study(source) -> Study:
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise StudyError(f"not valid TOML: {error}") from error
         with with_positions(text):
-            return _build(content, path.parent, source)
+            yield content, path
+
+
+def load_study(source) -> Study:
+    """Read a study from a TOML file, or "example:NAME" from the package.
+
+    Raises: StudyError, in one line that starts with the file, for anything that is wrong in it.
+    """
+    with study_file(source) as (content, path):
+        return build_study(check_layout(content), path.parent, str(source))

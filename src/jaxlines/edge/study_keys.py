@@ -179,6 +179,12 @@ def _rows(keys: tuple[Key, ...]) -> list[str]:
     return lines
 
 
+def _is_array(place: str) -> bool:
+    """Whether a table stands several times in a file, as [[place]]."""
+    parent, _, name = place.rpartition(".")
+    return bool(parent) and typing.get_origin(table_models()[parent].model_fields[name].annotation) is list
+
+
 def keys_as_markdown() -> str:
     """Every key of study files as a page: tables of the file first, then everything that a table can describe."""
     lines = ["# Keys of study files", ""]
@@ -189,7 +195,7 @@ def keys_as_markdown() -> str:
     ]
     for place in table_models():
         heading = f"`[{place}]`" if place else "Top of the file"
-        heading = f"`[[{place}]]`" if place in ("fit.free", "fit.known") else heading
+        heading = f"`[[{place}]]`" if _is_array(place) else heading
         lines += [f"## {heading}", "", *_rows(keys_of_table(place)), ""]
     for heading, kinds in classes_in_studies().items():
         lines += [f"## {heading}", ""]

@@ -85,13 +85,12 @@ def _class_schema(name: str, kind: type, *, typed: bool) -> dict:
 def _loosen(schema: dict) -> None:
     """What is changed before a table is checked: one path instead of a list, dotted names without quotes."""
     definitions = schema["$defs"]
-    path = definitions["FreeTable"]["properties"]["path"]
-    definitions["FreeTable"]["properties"]["path"] = {
-        "description": path["description"],
-        "anyOf": [{"type": "string"}, path],
-    }
+    for table in ("FreeTable", "UncertainTable"):
+        keys = definitions[table]["properties"]
+        keys["path"] = {"description": keys["path"]["description"], "anyOf": [{"type": "string"}, keys["path"]]}
     recording = definitions["RecordingTable"]["properties"]
-    for content in (recording["channels"], recording["noise"], schema["properties"]["initial"]):
+    columns = definitions["CasesTable"]["properties"]["columns"]
+    for content in (recording["channels"], recording["noise"], schema["properties"]["initial"], columns):
         content["additionalProperties"] = {"anyOf": [content.get("additionalProperties", {}), {"type": "object"}]}
 
 

@@ -1,17 +1,16 @@
 """The table [sweep] of a study file: what is uncertain, how lanes are chosen, what is kept of them."""
 
 import dataclasses
-import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
-from pydantic import BeforeValidator, Field, ValidationError
 
 from jaxlines.edge.building import Builder, StudyError, suggest
 from jaxlines.edge.naming import at, look_up, path_metadata
-from jaxlines.edge.study import Study, _build, _locate
-from jaxlines.edge.tables import Number, Table, _as_list, _flat
+from jaxlines.edge.study import Study, build_study, study_file
+from jaxlines.edge.sweep_tables import CasesTable, SweepTable, UncertainTable
+from jaxlines.edge.tables import check_layout
 from jaxlines.inference import distributions, samplers
 from jaxlines.inference.circuit_sweep import circuit_plan
 from jaxlines.inference.distributions import AbstractDistribution
@@ -38,65 +37,6 @@ _SAMPLERS = {
 }
 
 
-class UncertainTable(Table):
-    """[[sweep.uncertain]]: path(s) of a number and one distribution; `within` truncates it."""
-
-    path: Annotated[list[str], BeforeValidator(_as_list), Field(min_length=1)]
-    name: str = ""
-    normal: dict[str, Any] | None = None
-    log_normal: dict[str, Any] | None = None
-    uniform: dict[str, Any] | None = None
-    log_uniform: dict[str, Any] | None = None
-    triangular: dict[str, Any] | None = None
-    discrete: dict[str, Any] | None = None
-    within: Annotated[list[Number], Field(min_length=2, max_length=2)] | None = None
-    levels: Annotated[int, Field(ge=1)] | None = None
-
-
-class CorrelationTable(Table):
-    """[[sweep.correlation]]: correlation of the normal scores of two uncertain numbers."""
-
-    between: Annotated[list[str], Field(min_length=2, max_length=2)]
-    value: Annotated[float, Field(gt=-1, lt=1)]
-
-
-class ReductionTable(Table):
-    """[[sweep.reduction]]: one number from an output over time; `above`: thresholds whose exceedance is asked for."""
-
-    type: str
-    output: str
-    name: str = ""
-    above: list[Number] = []
-    options: dict[str, Any] = {}
-
-
-class CasesTable(Table):
-    """[sweep.cases]: a file with one case a row; path of a number -> column "name [unit]"."""
-
-    file: str
-    columns: Annotated[dict[str, str], BeforeValidator(_flat), Field(min_length=1)]
-
-
-class SweepTable(Table):
-    """[sweep]."""
-
-    count: Annotated[int, Field(ge=1)] | None = None
-    sampler: Literal["sobol", "monte_carlo", "latin_hypercube", "grid", "sobol_indices", "morris", "shapley"] = "sobol"
-    seed: Annotated[int, Field(ge=0)] = 0
-    second_order: bool = False
-    outputs: list[str] = []
-    derivatives: bool = False
-    kept_series: Annotated[int, Field(ge=0)] = 20
-    quantiles: list[Annotated[float, Field(gt=0, lt=1)]] = [0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99]
-    engine: str = "auto"
-    tolerance: Annotated[float, Field(gt=0, lt=1)] = 1e-4
-    precision: Literal["float64", "float32"] = "float64"
-    uncertain: list[UncertainTable] = []
-    correlation: list[CorrelationTable] = []
-    cases: CasesTable | None = None
-    reduction: list[ReductionTable] = []
-
-
 @dataclasses.dataclass(frozen=True)
 class SweepStudy:
     """A study with its sweep: the `Study`; plan; count of lanes; thresholds and quantiles that are asked for."""
@@ -114,43 +54,11 @@ def load_sweep(source, count: int | None = None) -> SweepStudy:
     Args: source: a TOML file, or "example:NAME"; count: of lanes, instead of the file's.
     Raises: StudyError, in one line that starts with the file, for anything that is wrong in it.
     """
-    source = str(source)
-    with at(source):
-        path = _locate(source)
-        if not path.is_file():
-            raise StudyError("is a folder, not a study file" if path.is_dir() else "no such file")
-        try:
-            content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise StudyError(f"not valid TOML: {error}") from error
-        given = content.pop("sweep", None)
-        if not isinstance(given, dict):
+    with study_file(source) as (content, path):
+        layout = check_layout(content)
+        if layout.sweep is None:
             raise StudyError("there is nothing to sweep: add a table [sweep] with count, uncertain and reduction")
-        return sweep_of(_build(content, path.parent, source), check_sweep(given), path.parent, count)
-
-
-def check_sweep(content: dict) -> SweepTable:
-    """The table [sweep], checked. Raises StudyError in one line for an unknown or missing key or a wrong type."""
-    try:
-        return SweepTable.model_validate(content)
-    except ValidationError as error:
-        raise StudyError(_first_of(error)) from error
-
-
-def _first_of(error: ValidationError) -> str:
-    """The first thing that is wrong with the table, with its place; an unknown key explains most."""
-    errors = error.errors()
-    first = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])
-    place = ["sweep", *(str(word) for word in first["loc"])]
-    if first["type"] == "extra_forbidden":
-        kinds = {"uncertain": UncertainTable, "correlation": CorrelationTable, "reduction": ReductionTable}
-        kind = kinds.get(place[1], CasesTable if place[1:2] == ["cases"] and len(place) > 2 else SweepTable)
-        return f"{'.'.join(place[:-1])}: unknown key {place[-1]!r}, {suggest(place[-1], kind.model_fields)}"
-    if first["type"] == "missing":
-        return f"{'.'.join(place[:-1])}: {place[-1]!r} is missing"
-    if first["type"] == "list_type" and place[-1] in ("uncertain", "correlation", "reduction"):
-        return f"{'.'.join(place)}: write [[{'.'.join(place)}]] with two brackets, once for each"
-    return f"{'.'.join(place)}: {first['msg'][0].lower()}{first['msg'][1:]}, got {first['input']!r}"
+        return sweep_of(build_study(layout, path.parent, str(source)), layout.sweep, path.parent, count)
 
 
 def sweep_of(study: Study, table: SweepTable, folder: Path, count: int | None = None) -> SweepStudy:
@@ -267,8 +175,11 @@ def _reductions(study: Study, table: SweepTable, builder: Builder) -> tuple[dict
         if entry.type not in known:
             raise StudyError(f"{where}: unknown type {entry.type!r}, {suggest(entry.type, known)}")
         metadata = look_up(entry.output, study.names.outputs, f"{where}.output", "output")
+        options = dict(entry.options)
+        if "level" in options:
+            options["level"] = builder.number(options["level"], metadata, f"{where}.options.level")
         with at(where):
-            reduction = known[entry.type](entry.output, **entry.options)
+            reduction = known[entry.type](entry.output, **options)
         name = entry.name or f"{entry.type} {entry.output}"
         if name in found:
             raise StudyError(f"{where}: there are two reductions {name!r}: give one of them another name")

@@ -2,35 +2,11 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BeforeValidator, Field, ValidationError
 
 from jaxlines.edge.building import StudyError, suggest
-
-Number = str | int | float
-
-
-def _flat(value):
-    """Tables in tables as one with dotted names, so that `A.pressure = ...` may stand without quotes."""
-    if not isinstance(value, dict):
-        return value
-    flat = {}
-    for key, inner in value.items():
-        if isinstance(inner, dict):
-            flat |= {f"{key}.{rest}": item for rest, item in _flat(inner).items()}
-        else:
-            flat[key] = inner
-    return flat
-
-
-def _as_list(value):
-    """One text as a list of one."""
-    return [value] if isinstance(value, str) else value
-
-
-class Table(BaseModel):
-    """A table of the file; unknown keys are errors."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+from jaxlines.edge.sweep_tables import CasesTable, CorrelationTable, ReductionTable, SweepTable, UncertainTable
+from jaxlines.edge.table_base import Number, Table, as_list, flat
 
 
 class RecordingTable(Table):
@@ -43,15 +19,15 @@ class RecordingTable(Table):
         description="a table with one row a recording: name, perhaps file, and numbers such as `line.length [m]`",
     )
     time: str | list[str]
-    channels: Annotated[dict[str, str | list[str]], BeforeValidator(_flat)]
-    noise: Annotated[dict[str, Number], BeforeValidator(_flat)] = {}
+    channels: Annotated[dict[str, str | list[str]], BeforeValidator(flat)]
+    noise: Annotated[dict[str, Number], BeforeValidator(flat)] = {}
     window: Annotated[list[Number], Field(min_length=2, max_length=2)] | None = None
 
 
 class FreeTable(Table):
     """[[fit.free]]: a parameter to be estimated; the search starts at the number of the file by default."""
 
-    path: Annotated[list[str], BeforeValidator(_as_list), Field(min_length=1)]
+    path: Annotated[list[str], BeforeValidator(as_list), Field(min_length=1)]
     bounds: Annotated[list[Number], Field(min_length=2, max_length=2)]
     start: Number | None = None
     transform: Literal["identity", "log", "logit"] = "identity"
@@ -91,7 +67,7 @@ class FitTable(Table):
     )
     check: bool = Field(default=True, description="refuse recordings with grave faults (swapped unit, dead channel)")
     steady: bool = Field(default=False, description="start every recording in the steady state of its first inputs")
-    input_noise: Annotated[dict[str, Number], BeforeValidator(_flat)] = Field(
+    input_noise: Annotated[dict[str, Number], BeforeValidator(flat)] = Field(
         default={},
         description="uncertainty of recorded inputs: standard deviation of samples, or { white, gain, offset }",
     )
@@ -122,11 +98,11 @@ class StudyTable(Table):
     title: str = ""
     fluid: dict[str, Any]
     circuit: Annotated[dict[str, dict[str, Any]], Field(min_length=1)]
-    initial: Annotated[dict[str, Number], BeforeValidator(_flat)] = {}
+    initial: Annotated[dict[str, Number], BeforeValidator(flat)] = {}
     recording: RecordingTable | None = None
     fit: FitTable | None = None
     simulate: SimulateTable | None = None
-    sweep: dict[str, Any] | None = Field(None, description="What is uncertain, and what is asked of it.")
+    sweep: SweepTable | None = None
     numerics: NumericsTable = NumericsTable()
 
 
@@ -137,6 +113,11 @@ _TABLES = {
     ("fit", "free"): FreeTable,
     ("fit", "known"): KnownTable,
     ("simulate",): SimulateTable,
+    ("sweep",): SweepTable,
+    ("sweep", "uncertain"): UncertainTable,
+    ("sweep", "correlation"): CorrelationTable,
+    ("sweep", "reduction"): ReductionTable,
+    ("sweep", "cases"): CasesTable,
     ("numerics",): NumericsTable,
 }
 
