@@ -73,7 +73,7 @@ KEY_DOCS = {
     "sweep.reduction.output": 'the output, such as "A.pressure"',
     "sweep.reduction.name": "how results call it; type and output by default",
     "sweep.reduction.above": "thresholds, with unit: the probability to exceed each is reported",
-    "sweep.reduction.options": 'what the type takes besides: { share = 0.95 }, { level = "50 bar_g", direction = "down" }',
+    "sweep.reduction.options": 'its own: { share = 0.95 }, { level = "50 bar_g", direction = "down" }',
     "numerics.solver": '"explicit" for smooth circuits, "implicit" for stiff ones (small volumes, end stops)',
     "numerics.tolerance": "relative tolerance of the adaptive step",
     "numerics.max_steps": "steps after which a simulation is given up",
