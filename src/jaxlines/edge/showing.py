@@ -46,12 +46,12 @@ def _line_by_line():
     return say
 
 
-def _console() -> Console:
+def plain_console() -> Console:
     """The standard output; wide where it is no terminal, so that lines are not broken."""
     return Console(highlight=False, width=None if sys.stdout.isatty() else 160)
 
 
-def _table(*columns: str) -> Table:
+def plain_table(*columns: str) -> Table:
     """A plain table whose first column is left-aligned."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     for i, column in enumerate(columns):
@@ -59,7 +59,7 @@ def _table(*columns: str) -> Table:
     return table
 
 
-def _sentences(console: Console, heading: str, sentences) -> None:
+def show_sentences(console: Console, heading: str, sentences) -> None:
     """A heading and its sentences; nothing without any."""
     if sentences:
         console.print(f"\n[bold]{heading}[/bold]")
@@ -69,33 +69,33 @@ def _sentences(console: Console, heading: str, sentences) -> None:
 
 def show_fit(fit: Fit, title: str) -> None:
     """A fit: status, estimates, channels, and everything a reader must know about them."""
-    console = _console()
+    console = plain_console()
     colour = {"converged": "green", "failed": "red"}.get(fit.status, "yellow")
     console.print(f"[bold]{escape(title)}[/bold]")
     console.print(f"[{colour}]{fit.status}[/{colour}]: {escape(readable_text(fit.message))} ({fit.seconds:.1f} s)\n")
-    table = _table("number", "estimate", "sd", "95 % interval", "unit")
+    table = plain_table("number", "estimate", "sd", "95 % interval", "unit")
     for name, estimate in (fit.parameters | fit.derived).items():
         row = estimate_row(estimate)
         table.add_row(escape(name), row.value, row.sd, row.interval, row.unit)
     if table.row_count:
         console.print(table)
     notes = [f"{name}: {e.note}" for name, e in (fit.parameters | fit.derived).items() if e.note]
-    _sentences(console, "notes", notes)
+    show_sentences(console, "notes", notes)
     channels = [
         f"{name}: rmse {readable(channel.unit, channel.rmse)}, noise {readable(channel.unit, channel.sigma)}, "
         f"residuals {'white' if channel.white else 'NOT white'} ({p_value_text(channel.whiteness_p)})"
         for name, channel in fit.channels.items()
     ]
-    _sentences(console, "channels", channels)
-    _sentences(console, "cannot be told apart", fit.identifiability)
-    _sentences(console, "rests on", fit.scale)
-    _sentences(console, "validity of the lumped model", fit.validity.sentences() if fit.validity else ())
-    _sentences(console, "warnings", fit.warnings)
+    show_sentences(console, "channels", channels)
+    show_sentences(console, "cannot be told apart", fit.identifiability)
+    show_sentences(console, "rests on", fit.scale)
+    show_sentences(console, "validity of the lumped model", fit.validity.sentences() if fit.validity else ())
+    show_sentences(console, "warnings", fit.warnings)
 
 
 def _statistics(series: dict[str, tuple[np.ndarray, str]]) -> Table:
     """Smallest, mean and largest value of each series, in readable units; the mean of the values, not over time."""
-    table = _table("channel", "min", "mean", "max", "unit")
+    table = plain_table("channel", "min", "mean", "max", "unit")
     for name, (values, unit) in series.items():
         finite = values[np.isfinite(values)]
         label, factor = readable_unit(unit, float(np.abs(finite).max()) if finite.size else 0.0)
@@ -106,18 +106,18 @@ def _statistics(series: dict[str, tuple[np.ndarray, str]]) -> Table:
 
 def show_simulation(simulation: Simulation, title: str, outputs) -> None:
     """A simulation: outputs, steps, validity."""
-    console, names = _console(), list(outputs) or list(simulation.outputs)
+    console, names = plain_console(), list(outputs) or list(simulation.outputs)
     console.print(f"[bold]{escape(title)}[/bold]")
     times = np.asarray(simulation.times)
     steps = f"{int(simulation.num_steps)} steps"
     console.print(f"{simulation.status}: {times[0]:g} s to {times[-1]:g} s, {times.size} samples, {steps}\n")
     console.print(_statistics({n: (np.asarray(simulation[n]), simulation.units[n]) for n in names}))
-    _sentences(console, "validity of the lumped model", simulation.validity().sentences())
+    show_sentences(console, "validity of the lumped model", simulation.validity().sentences())
 
 
 def show_study(study: Study, simulation: Simulation) -> None:
     """What a study contains: circuit, recording, what is free and known, what looks odd."""
-    console = _console()
+    console = plain_console()
     console.print(f"[bold]{escape(study.title)}[/bold]  ({escape(study.source)})\n")
     parts = study.circuit.components
     kinds = ", ".join(f"{name} ({type(part).__name__})" for name, part in parts.items())
@@ -130,11 +130,11 @@ def show_study(study: Study, simulation: Simulation) -> None:
         console.print(f"recording {escape(study.recording.name)}: {times.size} samples, {span}")
         known = {**study.names.outputs, **study.names.inputs}
         console.print(_statistics({name: (values, known[name]["unit"]) for name, values in channels.items()}))
-        _sentences(console, "warnings", study.recording.warnings)
-        _sentences(console, "distance from the recording before any fit", _distances(study, simulation))
-    _sentences(console, "free", [_described(study, parameter) for parameter in study.free])
+        show_sentences(console, "warnings", study.recording.warnings)
+        show_sentences(console, "distance from the recording before any fit", _distances(study, simulation))
+    show_sentences(console, "free", [_described(study, parameter) for parameter in study.free])
     known = [f"{k.path}: standard uncertainty {readable(_unit(study, k.path), k.sd)}" for k in study.known]
-    _sentences(console, "known", known)
+    show_sentences(console, "known", known)
     console.print()
 
 

@@ -145,9 +145,10 @@ def _reporter(say, quiet: bool):
 def _show(result, title: str, max_failed: float) -> None:
     """Print a sweep, write its report and summary, and exit by the share that failed."""
     from jaxlines.edge.sweep_report import write_sweep
+    from jaxlines.edge.sweep_showing import show_sweep
 
     files = write_sweep(result, title) if result.count else []
-    typer.echo(str(result))
+    show_sweep(result, title)
     if files:
         typer.echo(f"\nwrote {', '.join(str(file) for file in files)}")
     if result.failed_fraction > max_failed:

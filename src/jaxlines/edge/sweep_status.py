@@ -4,7 +4,7 @@ from pathlib import Path
 
 from rich.markup import escape
 
-from jaxlines.edge.showing import _console, _sentences, _table
+from jaxlines.edge.showing import plain_console, plain_table, show_sentences
 from jaxlines.inference.sweep_claims import Claims
 from jaxlines.inference.sweep_run import Progress
 from jaxlines.inference.sweep_store import SweepStore, stores_in
@@ -58,14 +58,14 @@ def show_status(folder: Path) -> None:
     found = stores_in(folder)
     if not found:
         raise FileNotFoundError(f"{folder}: there is no sweep in this folder")
-    console = _console()
+    console = plain_console()
     for path in found:
         store = SweepStore(path)
         status = status_of(store)
         progress = Progress(status["done"], status["count"], sum(status["failed"].values()), status["rate"])
         console.print(f"[bold]{escape(store.asked()['title'])}[/bold]  ({escape(str(path))})")
         console.print(f"{progress}" if status["done"] < status["count"] else f"done: {status['done']:,} lanes")
-        table = _table("", "", "")
+        table = plain_table("", "", "")
         table.add_row("engine", escape(status["engine"]), "")
         table.add_row("computed on", escape(", ".join(status["hosts"])), "")
         table.add_row("at work", f"{status['working']} chunks", "")
@@ -73,5 +73,5 @@ def show_status(folder: Path) -> None:
             table.add_row(f"failed ({name})", f"{lanes:,}", f"{100 * lanes / max(status['done'], 1):.3g} %")
         console.print(table)
         torn = [f"{status['torn']} lines of the manifest are torn: a computer crashed"] if status["torn"] else []
-        _sentences(console, "notes", [*status["notes"], *torn])
+        show_sentences(console, "notes", [*status["notes"], *torn])
         console.print()
