@@ -20,8 +20,8 @@ from jaxlines.inference.uncertainty import (
     describe_correlations,
     describe_open_directions,
     is_open,
-    ljung_box,
     make_estimate,
+    whiteness_p,
 )
 
 
@@ -151,7 +151,7 @@ def channel_fits(problem: JointProblem, found: Found) -> dict[str, ChannelFit]:
             if not used.any():
                 continue
             residual = measured - simulated
-            p = ljung_box(residual / sigma[:, i], used)
+            p = whiteness_p(residual / sigma[:, i], used)
             rmse = float(np.sqrt(np.mean(residual[used] ** 2)))
             level = float(np.sqrt(np.mean(sigma[used, i] ** 2)))
             values = (trial.recording.times, measured, simulated, used)

@@ -1,14 +1,12 @@
-"""Noise that is not white: autoregressive models of residuals, and the weighting that makes them white."""
+"""Noise that is not white: series of residuals, their autoregressive models, and the weighting that whitens them."""
 
-import dataclasses
-import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from jaxlines.inference.least_squares import AbstractRewritten, LeastSquaresProblem, Solution, solve
-from jaxlines.inference.uncertainty import ljung_box
+from jaxlines.inference.least_squares import LeastSquaresProblem
+from jaxlines.inference.uncertainty import whiteness_p
 
 
 class Autoregression(NamedTuple):
@@ -34,16 +32,20 @@ def series_of(problem: LeastSquaresProblem) -> list[np.ndarray]:
     return found
 
 
-def whiteness(problem: LeastSquaresProblem, residuals, lags: int = 20) -> float:
-    """p-value that all series of residuals are white: the smallest of Ljung and Box, times their number."""
+def whiteness(problem: LeastSquaresProblem, residuals) -> float:
+    """p-value that all series of residuals are white: the smallest of `whiteness_p`, times their number.
+
+    NaN when every series has too few samples to tell.
+    """
     recording, channel, time = problem.recording, problem.channel, problem.time
     values = []
     for pair in set(zip(recording[recording >= 0], channel[recording >= 0], strict=True)):
         rows = np.flatnonzero((recording == pair[0]) & (channel == pair[1]))
         grid, used = np.zeros(time[rows].max() + 1), np.zeros(time[rows].max() + 1, dtype=bool)
         grid[time[rows]], used[time[rows]] = residuals[rows], True
-        values.append(ljung_box(grid, used, lags))
-    return min(1.0, min(values) * len(values)) if values else 1.0
+        values.append(whiteness_p(grid, used))
+    told = [p for p in values if not np.isnan(p)]
+    return min(1.0, min(told) * len(told)) if told else float("nan")
 
 
 def fit_autoregression(pieces: Sequence[np.ndarray], max_order: int = 12, freedom_lost: int = 0) -> Autoregression:
@@ -55,20 +57,21 @@ def fit_autoregression(pieces: Sequence[np.ndarray], max_order: int = 12, freedo
     """
     max_order = max(0, min(max_order, max((piece.size for piece in pieces), default=0) // 4))
     used = [piece for piece in pieces if piece.size > max_order]
-    target = np.concatenate([piece[max_order:] for piece in used])
-    lagged = np.stack(
-        [np.concatenate([p[max_order - k : p.size - k] for p in used]) for k in range(1, max_order + 1)], axis=1
-    ) if max_order else np.zeros((target.size, 0))  # fmt: skip
+    count, products = sum(piece.size - max_order for piece in used), np.zeros((max_order + 1, max_order + 1))
+    for p in used:  # of each sample with those before it
+        lagged = np.stack([p[max_order - k : p.size - k] for k in range(max_order + 1)])
+        products += lagged @ lagged.T
     best, best_bic = Autoregression(np.zeros(0), 1.0), np.inf
     for order in range(max_order + 1):
-        coefficients = np.linalg.lstsq(lagged[:, :order], target, rcond=None)[0] if order else np.zeros(0)
+        inner, across = products[1 : order + 1, 1 : order + 1], products[1 : order + 1, 0]
+        coefficients = np.linalg.lstsq(inner, across, rcond=None)[0] if order else np.zeros(0)
         if not _stationary(coefficients):
             coefficients = _yule_walker(pieces, order)
-        error = target - lagged[:, :order] @ coefficients
-        variance = max(float(error @ error), 1e-300) / target.size
-        bic = target.size * np.log(variance) + order * np.log(target.size)
+        squares = float(products[0, 0] - 2.0 * coefficients @ across + coefficients @ inner @ coefficients)
+        variance = max(squares, 1e-300) / count
+        bic = count * np.log(variance) + order * np.log(count)
         if bic < best_bic:
-            sd = np.sqrt(variance * target.size / max(target.size - order - freedom_lost, 1))
+            sd = np.sqrt(variance * count / max(count - order - freedom_lost, 1))
             best, best_bic = Autoregression(coefficients, float(sd)), bic
     return best
 
@@ -98,7 +101,7 @@ def whiten(rows: np.ndarray, model: Autoregression) -> np.ndarray:
     e_t = (n_t - sum a_k n_{t-k})/sd; the first ones through the Cholesky factor of their stationary covariance, so that
     no row is lost (Harvey, "Forecasting, Structural Time Series Models and the Kalman Filter", 1989, section 3.5).
     """
-    from scipy.linalg import solve_discrete_lyapunov, solve_triangular
+    from scipy.linalg import solve_triangular
 
     order, a = model.order, model.coefficients
     white = np.array(rows, dtype=float)
@@ -106,66 +109,38 @@ def whiten(rows: np.ndarray, model: Autoregression) -> np.ndarray:
         white[order:] -= a[k] * rows[order - 1 - k : rows.shape[0] - 1 - k]
     first = min(order, rows.shape[0])
     if first:
-        drive = np.zeros((order, order))
-        drive[0, 0] = 1.0
-        covariance = solve_discrete_lyapunov(_companion(a), drive)
-        white[:first] = solve_triangular(np.linalg.cholesky(covariance[:first, :first]), rows[:first], lower=True)
+        white[:first] = solve_triangular(_first_root(model, first), rows[:first], lower=True)
     return white / model.sd
 
 
-@dataclasses.dataclass(frozen=True)
-class Whitened(AbstractRewritten):
-    """A problem whose rows are made uncorrelated by a noise model a channel: generalised least squares.
+def _first_root(model: Autoregression, count: int) -> np.ndarray:
+    """The Cholesky factor of the stationary covariance of the first samples, for errors of variance 1."""
+    from scipy.linalg import solve_discrete_lyapunov
 
-    Fields: plain: the problem; models: one `Autoregression` a channel.
+    drive = np.zeros((model.order, model.order))
+    drive[0, 0] = 1.0
+    covariance = solve_discrete_lyapunov(_companion(model.coefficients), drive)
+    return np.linalg.cholesky(covariance[:count, :count])
+
+
+def carry(columns: np.ndarray, model: Autoregression) -> np.ndarray:
+    """W^-T g of columns g, W what `whiten` does, so that the inner products of two are g'V h, V the noise's covariance.
+
+    With the rows of a gain as columns this is the covariance of what the gain makes of the noise. columns: shape
+    (times, columns), consecutive samples.
     """
+    from scipy.signal import lfilter
 
-    models: tuple[Autoregression, ...]
-
-    @functools.cached_property
-    def _pieces(self) -> list[np.ndarray]:
-        return series_of(self.plain)
-
-    def _whitened(self, rows) -> np.ndarray:
-        white = np.array(rows, dtype=float)
-        for piece in self._pieces:
-            white[piece] = whiten(rows[piece], self.models[self.plain.channel[piece[0]]])
-        return white
-
-    def residuals(self, x) -> np.ndarray:
-        """Whitened rows of variance 1."""
-        return self._whitened(self.plain.residuals(x))
-
-    def jacobian(self, x) -> np.ndarray:
-        """Their slopes."""
-        return self._whitened(self.plain.jacobian(x))
-
-
-def channel_noise(problem: LeastSquaresProblem, residuals, max_order: int = 12) -> tuple[Autoregression, ...]:
-    """One autoregressive model a channel, from the residuals of all its recordings."""
-    pieces = series_of(problem)
-    models = []
-    for channel in range(int(problem.channel.max(initial=0)) + 1):
-        own = [residuals[rows] for rows in pieces if problem.channel[rows[0]] == channel]
-        share = sum(p.size for p in own) / max(sum(rows.size for rows in pieces), 1)
-        models.append(fit_autoregression(own, max_order, round(share * len(problem.labels))) if own else None)
-    return tuple(m or Autoregression(np.zeros(0), 1.0) for m in models)
-
-
-def solve_with_autoregression(
-    problem: LeastSquaresProblem, solution: Solution, *, max_order: int = 12, rounds: int = 3, tolerance: float = 1e-9
-) -> tuple[Whitened, Solution]:
-    """Fit again with autoregressive noise: noise models from residuals, whitened fit, a few rounds.
-
-    Returns: the whitened problem, its noise of variance 1, and its solution, whose (J'J)^-1 is the covariance.
-    Reference: feasible generalised least squares; Seber and Wild, "Nonlinear Regression", 1989, chapter 6.
-    """
-    residuals, end = solution.residuals, solution
-    whitened = Whitened(problem, channel_noise(problem, residuals, max_order))
-    for _ in range(rounds):
-        whitened = Whitened(problem, channel_noise(problem, residuals, max_order))
-        before, end = end.x, solve(whitened, end.x, tolerance=tolerance)
-        residuals = problem.residuals(end.x)
-        if np.allclose(end.x, before, rtol=1e-7, atol=0.0):
-            break
-    return whitened, end
+    order, a, times = model.order, model.coefficients, columns.shape[0]
+    first = min(order, times)
+    found = np.array(columns, dtype=float)
+    if times > first:  # W is banded: back substitution is a filter that runs backwards
+        found[first:] = np.asarray(lfilter([1.0], [1.0, *(-a)], columns[: first - 1 if first else None : -1], axis=0))[
+            ::-1
+        ]
+    for t in range(first):
+        for k in range(max(order - t, 1), min(order, times - 1 - t) + 1):
+            found[t] += a[k - 1] * found[t + k]
+    if first:
+        found[:first] = _first_root(model, first).T @ found[:first]
+    return found * model.sd

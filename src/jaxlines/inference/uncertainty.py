@@ -1,6 +1,7 @@
 """How sure a fit is: covariance, intervals, what cannot be told apart, whether residuals are white."""
 
 import dataclasses
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,11 @@ open, and its standard deviation is more than this part of what the bounds alone
 
 WHITE_LIMIT = 0.01
 """Level of the whiteness test: right models fail it once in a hundred."""
+
+
+FEWEST_TESTED = 30
+"""Samples from which residuals can be called white: with fewer the test finds even neighbours correlated by 0.6 in
+less than half of all cases."""
 
 
 class Estimate(NamedTuple):
@@ -96,6 +102,8 @@ def make_estimate(parameter: Free, value: float, sd: float, unit: str, kind: str
 
 def p_value_text(p: float) -> str:
     """A p-value as it is read: "p = 0.098", "p < 1e-99"."""
+    if math.isnan(p):
+        return "too few samples to test"
     return f"p = {p:.2g}" if p > 1e-99 else "p < 1e-99"
 
 
@@ -103,14 +111,15 @@ def ljung_box(residuals, used, lags: int = 20) -> float:
     """p-value of the Ljung-Box test that equally spaced residuals are uncorrelated up to `lags`.
 
     Q = n (n + 2) sum_k r_k^2/(n - k), chi-squared with `lags` degrees of freedom; pairs with a missing sample are
-    left out. Reference: Ljung and Box, "On a measure of lack of fit in time series models", Biometrika 65, 1978.
+    left out; NaN for fewer than five samples.
+    Reference: Ljung and Box, "On a measure of lack of fit in time series models", Biometrika 65, 1978.
     """
     from scipy.special import chdtrc  # the tail of chi-squared; scipy.stats takes half a second to import
 
     count = int(used.sum())
     lags = min(lags, count // 5)
     if lags < 1:
-        return 1.0
+        return float("nan")
     centred = np.where(used, residuals - residuals[used].mean(), 0.0)
     variance = (centred**2).sum() / count
     if variance <= 0.0:
@@ -122,6 +131,16 @@ def ljung_box(residuals, used, lags: int = 20) -> float:
             correlation = (centred[lag:] * centred[:-lag]).sum() / pairs / variance
             statistic += pairs * (count + 2.0) / count * correlation**2
     return float(chdtrc(lags, statistic))
+
+
+def whiteness_p(residuals, used) -> float:
+    """p-value that equally spaced residuals are white: Ljung and Box over 2 and over 20 lags, twice the smaller.
+
+    Few lags find neighbours alike, which 20 lags of a short series miss one time in 25 at a correlation of 0.6 and 121
+    samples; many find echoes. NaN where nothing was found in fewer samples than `FEWEST_TESTED`: that says nothing.
+    """
+    p = min(1.0, 2.0 * min(ljung_box(residuals, used, 2), ljung_box(residuals, used, 20)))
+    return float("nan") if used.sum() < FEWEST_TESTED and not p <= WHITE_LIMIT else p
 
 
 def describe_open_directions(labels, found: Covariance, widths) -> tuple[str, ...]:
