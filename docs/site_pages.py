@@ -1,10 +1,20 @@
 """Pages of the documentation site that come from the code: commands, keys of studies, models, formulas."""
 
+import importlib.util
 import inspect
 import re
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
+
+
+def _performance_page() -> str:
+    """The page made from results of experiments; its module stands beside this one, outside any package."""
+    spec = importlib.util.spec_from_file_location("performance_page", ROOT / "docs" / "performance_page.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.performance_page()
 
 
 def models_page() -> str:
@@ -63,6 +73,7 @@ def generated_pages() -> dict[str, str]:
     from jaxlines.edge.study_schema import study_schema_text
 
     return {
+        "performance.md": _performance_page(),
         "reference/commands.md": commands_page(),
         "reference/study-keys.md": keys_as_markdown(),
         "reference/study.schema.json": study_schema_text(),

@@ -22,6 +22,7 @@ BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 HEAVY = {
     "how-to/priors.md",
     "first-fit.md",
+    "how-to/sweeps.md",
     *(f"how-to/{name}.md" for name in ("check", "several-recordings", "own-objective", "own-component")),
 }
 

@@ -1,0 +1,83 @@
+"""The performance page of the documentation: made from results.json of the experiments, kept in docs/results."""
+
+import json
+from pathlib import Path
+
+RESULTS = Path(__file__).parent / "results"
+INTRODUCTION = """# Performance
+
+Made from the `results.json` of the scripts in `experiments/`, which anyone can run again: ratios are against a named competitor in
+the same run, at an error no smaller than ours. Times depend on the machine; ratios less so.
+"""
+
+
+def performance_page() -> str:
+    """Ensembles, fits, sweeps, first result: each as far as its results are there."""
+    parts = [INTRODUCTION]
+    for name, section in SECTIONS.items():
+        path = RESULTS / f"{name}.json"
+        if path.is_file():
+            result = json.loads(path.read_text(encoding="utf-8"))
+            parts.append("\n".join([*section(result), "", *_source(name, result)]))
+    return "\n\n".join(parts) + "\n"
+
+
+def _source(name: str, result: dict) -> list[str]:
+    """The command, and what it ran on."""
+    machine = result.get("machine") or {}
+    cores = machine.get("cores", machine.get("cpu_count", result.get("cores")))
+    words = [machine.get("cpu") or machine.get("processor"), f"{cores} cores" if cores else ""]
+    words += [f"JAX {machine['jax']}" if "jax" in machine else ""]
+    on = ", ".join(word for word in words if word)
+    return [f"`python experiments/{name}.py --out out/{name}`" + (f" on {on}." if on else ".")]
+
+
+def _table(head: list[str], rows: list[list[str]]) -> list[str]:
+    return [f"| {' | '.join(line)} |" for line in (head, ["---"] * len(head), *rows)]
+
+
+def _number(value, form: str = "{:,.0f}") -> str:
+    return "not measured" if value is None else form.format(value)
+
+
+def _ensembles(result: dict) -> list[str]:
+    rows = [
+        [row["engine"], row["precision"], row["setting"], _number(row["sims_per_second"])]
+        + [_number(row["rms_error_pa"], "{:.3g}"), _number(row["compile_seconds"], "{:.2g}")]
+        for row in result["rows"]
+    ]
+    head = ["engine", "precision", "setting", "simulations/s", "rms error [Pa]", "compiled in [s]"]
+    lines = ["## Ensembles", "", f"A servo axis, {result['lanes']:,} lanes.", "", *_table(head, rows), ""]
+    claims = [
+        [c["name"], _number(c["value"], "{:.3g}"), f"{c['claimed']:g}", f"{c['aim']:g}", "yes" if c["met"] else "no"]
+        for c in result["claims"]
+    ]
+    return lines + _table(["what", "measured", "claimed", "aimed at", "holds"], claims)
+
+
+def _fits(result: dict) -> list[str]:
+    mine = result["jaxlines"]
+    lines = [
+        "## Fits",
+        "",
+        f"{result['count']:,} recordings of a servo axis, each fitted on its own: {mine['many']['warm_s']:.2f} s warm, "
+        f"{mine['many']['cold_s']:.1f} s with compilation; one recording {mine['one']['warm_s']:.3f} s.",
+        "",
+    ]
+    claims = result["claims"]
+    rows = [
+        [name.replace("_", " "), f"{ratio:.3g}", f"{claims[name]:g}", "yes" if ratio >= claims[name] else "no"]
+        for name, ratio in result["ratios"].items()
+    ]
+    return lines + _table(["times faster", "measured", "claimed", "holds"], rows)
+
+
+def _sweeps(result: dict) -> list[str]:
+    return ["## Sweeps", "", f"{result['finding'].split('; all claims')[0]}."]
+
+
+def _first(result: dict) -> list[str]:
+    return ["## The first result", "", f"{result['finding']}."]
+
+
+SECTIONS = {"speed_ensemble": _ensembles, "speed_fit": _fits, "sweep_scale": _sweeps, "first_result": _first}
