@@ -6,8 +6,8 @@ from pathlib import Path
 RESULTS = Path(__file__).parent / "results"
 INTRODUCTION = """# Performance
 
-Made from the `results.json` of the scripts in `experiments/`, which anyone can run again: ratios are against a named competitor in
-the same run, at an error no smaller than ours. Times depend on the machine; ratios less so.
+Made from the `results.json` of the scripts in `experiments/`, which anyone can run again: ratios are against a named
+competitor in the same run, at an error no smaller than ours. Times depend on the machine; ratios less so.
 """
 
 
@@ -41,9 +41,9 @@ def _number(value, form: str = "{:,.0f}") -> str:
 
 
 def _ensembles(result: dict) -> list[str]:
+    columns = {"sims_per_second": "{:,.0f}", "rms_error_pa": "{:.3g}", "compile_seconds": "{:.2g}"}
     rows = [
-        [row["engine"], row["precision"], row["setting"], _number(row["sims_per_second"])]
-        + [_number(row["rms_error_pa"], "{:.3g}"), _number(row["compile_seconds"], "{:.2g}")]
+        [row["engine"], row["precision"], row["setting"], *(_number(row[name], form) for name, form in columns.items())]
         for row in result["rows"]
     ]
     head = ["engine", "precision", "setting", "simulations/s", "rms error [Pa]", "compiled in [s]"]
