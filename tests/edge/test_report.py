@@ -2,7 +2,6 @@
 
 import re
 import xml.etree.ElementTree as ElementTree
-from html.parser import HTMLParser
 
 import matplotlib
 import numpy as np
@@ -13,14 +12,19 @@ import jaxlines as jl
 from jaxlines.edge.display import estimate_row, readable_text, readable_unit, rounded
 from jaxlines.edge.drawing import circuit_svg
 from jaxlines.edge.plots import decimate, plot_bulk_modulus, plot_channel, plot_residuals, plot_wave_speed
-from jaxlines.edge.report import fit_report, inline_svg
+from jaxlines.edge.report import fit_report
+from jaxlines.edge.report_glyphs import INK
+from jaxlines.edge.report_page import inline_svg
 from jaxlines.inference.analysis import ChannelFit
 from jaxlines.inference.curves import Curve
 from jaxlines.inference.fit_result import Fit
+from jaxlines.inference.starts import Start
 from jaxlines.inference.uncertainty import Estimate
+from tests.edge.pages import Page
 
 INTERVAL = Estimate(1.379e9, 3.6e6, (1.372e9, 1.386e9), "Pa", "interval", "isentropic & tangent")
 LIMIT = Estimate(1e-13, 2e-13, (0.0, 4.3e-13), "m^3/(s*Pa)", "upper_limit", "not detected: 95 % upper limit")
+COSTS = (10.0, 10.0, 14.0, np.inf)
 OPEN = Estimate(0.012, None, None, "1", "unidentified", "left open")
 
 
@@ -65,27 +69,8 @@ def made_fit(samples=500, channels=("A.pressure",)):
         initial={},
         num_evaluations=13,
         seconds=2.5,
+        starts=tuple(Start(i, np.zeros(1), np.zeros(1), cost, "", "", 5) for i, cost in enumerate(COSTS)),
     )
-
-
-class Page(HTMLParser):
-    """Collects the text, the addresses and the tags that are left open."""
-
-    def __init__(self, text):
-        HTMLParser.__init__(self)
-        self.words, self.addresses, self.open = [], [], []
-        self.feed(text)
-
-    def handle_starttag(self, tag, attrs):
-        self.addresses += [value for key, value in attrs if key in ("src", "href", "xlink:href", "action")]
-        if tag not in ("meta", "br", "img"):
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        self.words.append(data)
 
 
 @pytest.fixture(scope="module")
@@ -95,8 +80,9 @@ def html():
 
 def test_page_is_well_formed_and_complete(html):
     page = Page(html)
+    assert html.startswith("<!DOCTYPE html>")
     assert page.open == []
-    text = " ".join(" ".join(page.words).split())
+    text = page.text
     for words in (
         "Line <1> & test", "at_bound", "the optimum lies on a bound", "13 evaluations, 2.5 s", "fluid.bulk_modulus",
         "1.3790", "0.0036", "1.3720 to 1.3860", "GPa", "isentropic & tangent", "< 2.58", "not identified",
@@ -117,9 +103,11 @@ def test_numbers_on_an_axis_keep_their_digits():
 
 
 def test_page_needs_no_network(html):
-    assert all(address.startswith("#") for address in Page(html).addresses)
-    assert "<script" not in html
-    assert not re.search(r"url\((?!['\"]?#)|@import", html)
+    page = Page(html)
+    assert page.outside == []
+    assert "default-src 'none'" in page.policy
+    assert "http" not in page.policy
+    assert not re.search(r"url\((?!['\"]?#)|@import", html[: html.index("</style>")])
 
 
 def test_page_is_light_dark_narrow_and_described(html):
@@ -128,14 +116,41 @@ def test_page_is_light_dark_narrow_and_described(html):
     assert "max-width: 40rem" in html
     assert "currentColor" in html
     labels = re.findall(r'<svg role="img" aria-label="([^"]+)"', html)
-    assert len(labels) == 3
+    assert len(labels) == len(Page(html).plots) == 4
     assert "A.pressure over time, measured and simulated" in labels[0]
-    assert "#010203" not in html
+    assert "4 searches ended, best first; 3 came to an end" in labels[3]
+    assert f'"{INK}"' not in re.sub(r"<script.*?</script>", "", html, flags=re.S)
 
 
-def test_long_recordings_stay_small():
+def luminance(colour: str) -> float:
+    """Relative luminance of "#rrggbb" (WCAG 2.1)."""
+    parts = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+    red, green, blue = (c / 12.92 if c <= 0.03928 else ((c + 0.055) / 1.055) ** 2.4 for c in parts)
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+
+def contrast(one: str, other: str) -> float:
+    """Contrast ratio of two colours (WCAG 2.1)."""
+    low, high = sorted((luminance(one), luminance(other)))
+    return (high + 0.05) / (low + 0.05)
+
+
+@pytest.mark.parametrize("scheme", [0, 1], ids=["light", "dark"])
+def test_colours_have_contrast(html, scheme):
+    assert contrast("#000000", "#ffffff") == pytest.approx(21.0)
+    colours = dict(re.findall(r"--(\w+): (#\w{6})", re.findall(r":root \{(.*?)\}", html, flags=re.S)[scheme]))
+    for name in ("ink", "soft", "good", "fair", "bad"):
+        assert contrast(colours[name], colours["card"]) > 4.5, name
+        assert contrast(colours[name], colours["page"]) > 4.5, name
+    for name in ("blue", "grey"):
+        assert contrast(colours[name], colours["card"]) > 3.0, name
+
+
+def test_long_recordings_stay_small_and_say_what_is_drawn():
     names = tuple(f"N{i}.pressure" for i in range(6))
-    assert len(fit_report(made_fit(100_000, names), "long").encode()) < 1_000_000
+    page = fit_report(made_fit(100_000, names), "long")
+    assert len(page.encode()) < 5_000_000
+    assert "Drawn with at most 5,000 of 100,000 samples: the lowest and the highest of every 40" in page
 
 
 def test_failed_fit_has_a_page():

@@ -1,15 +1,21 @@
 """Pictures of fits and simulations: each function draws into Axes (new ones by default) and returns them."""
 
 import itertools
+import warnings
+from collections.abc import Sequence
 
 import numpy as np
 
 from jaxlines.edge.display import readable_unit
 from jaxlines.inference.analysis import ChannelFit
 from jaxlines.inference.curves import Curve
+from jaxlines.inference.least_squares import LeastSquaresProblem
+from jaxlines.inference.posterior import Posterior
+from jaxlines.inference.starts import Start
+from jaxlines.inference.uncertainty import UNINFORMED
 from jaxlines.simulation.line_response import LineResponse
 
-MEASURED, SIMULATED, BAND = "#8b95a5", "#2f7fd1", "#2f7fd1"
+MEASURED, SIMULATED, BAND = "#7c8796", "#2f7fd1", "#2f7fd1"
 MAX_POINTS = 4000
 
 
@@ -21,16 +27,23 @@ def decimate(times, values, limit: int = MAX_POINTS) -> tuple[np.ndarray, np.nda
     times, values = np.asarray(times, dtype=float), np.asarray(values, dtype=float)
     if times.size <= limit:
         return times, values
-    edges = np.linspace(0, times.size, max(1, limit // 2) + 1).astype(int)
-    keep: set[int] = set()
-    for start, stop in itertools.pairwise(edges):
-        piece = values[start:stop]
-        if np.all(np.isnan(piece)):
-            keep.add(start)
-        else:
-            keep |= {start + int(np.nanargmin(piece)), start + int(np.nanargmax(piece))}
-    kept = np.array(sorted(keep))
+    width = -(-times.size // max(1, limit // 2))
+    padded = np.concatenate([values, np.full(-times.size % width, np.nan)]).reshape(-1, width)
+    missing = np.isnan(padded)
+    starts = width * np.arange(len(padded))
+    lowest = starts + np.where(missing, np.inf, padded).argmin(axis=1)
+    highest = starts + np.where(missing, -np.inf, padded).argmax(axis=1)
+    kept = np.unique([lowest, highest])
     return times[kept], values[kept]
+
+
+def decimate_band(times, low, high, limit: int = MAX_POINTS) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """At most `limit` points of a band: of every stretch the lowest of `low` and the highest of `high`."""
+    times, low, high = (np.asarray(values, dtype=float) for values in (times, low, high))
+    if times.size <= limit:
+        return times, low, high
+    starts = np.linspace(0, times.size, limit + 1).astype(int)[:-1]
+    return times[starts], np.fmin.reduceat(low, starts), np.fmax.reduceat(high, starts)
 
 
 def _axes(axes):
@@ -122,4 +135,107 @@ def plot_line_response(response: LineResponse, axes=None):
     size.set_ylabel("impedance [Pa s/m³]")
     size.legend()
     phase.set(xlabel="frequency [Hz]", ylabel="phase [°]", ylim=(-185, 185), yticks=range(-180, 181, 90))
+    return axes
+
+
+def plot_starts(starts: Sequence[Start], axes=None):
+    """Waterfall of a search from many starts: the cost at which each ended above the best, best first.
+
+    Starts that end on a common step have found the same optimum; a single lowest point was found once and may not be
+    the lowest there is. Failed starts are left out of the curve and counted in the label.
+
+    Args: starts: of `Fit.starts`; axes (new ones by default). Returns the Axes; cost without unit, half a sum of
+    squares. Reference: Raue and others, PLoS ONE 8, e74335, 2013.
+    """
+    from matplotlib.ticker import MaxNLocator
+
+    axes = _axes(axes)
+    costs = np.sort([start.cost for start in starts if np.isfinite(start.cost)])
+    failed = len(starts) - costs.size
+    label = f"{costs.size} ended" + (f", {failed} failed" if failed else "")
+    if costs.size:
+        above = np.maximum(costs - costs[0], 1e-3)  # what differs by less is the same optimum
+        axes.semilogy(np.arange(1, costs.size + 1), above, color=SIMULATED, lw=1.0, marker="o", ms=4, label=label)
+        axes.set_ylim(5e-4, max(1.0, 3 * above[-1]))
+    axes.set(xlabel="starts, best first", ylabel="cost above the best")
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.legend(frameon=False, loc="upper left")
+    return axes
+
+
+def plot_profile(values, profile, name: str, unit: str = "1", axes=None, *, best=None, interval=None, level=3.84):
+    """Profile likelihood of a number: twice the rise of the cost where the number is held and all others are fitted.
+
+    Args: values [SI], shape (points,); profile: of `profile_curve`, shape (points,); name, unit of the number; axes;
+    best: the estimate [SI]; interval: its two ends [SI], infinite where open; level: the height below which the 95 %
+    interval lies (3.84 for known noise). Returns the Axes. Reference: Raue and others, Bioinformatics 25, 2009.
+    """
+    axes = _axes(axes)
+    values, profile = np.asarray(values, dtype=float), np.asarray(profile, dtype=float)
+    label, factor = readable_unit(unit, _largest(values))
+    axes.plot(values * factor, profile, color=SIMULATED, lw=1.4, marker=".", label="profile")
+    axes.axhline(level, color=MEASURED, lw=1.0, ls="--")
+    if interval is not None:
+        low, high = (float(np.clip(end, values.min(), values.max())) * factor for end in interval)
+        axes.axvspan(low, high, color=BAND, alpha=0.15, lw=0)
+    if best is not None:
+        axes.axvline(best * factor, color=SIMULATED, lw=1.0, ls=":")
+    axes.set(xlabel=_label(name, label), ylabel="2 (cost - lowest cost)", ylim=(0.0, None))
+    axes.legend(frameon=False, loc="best")
+    return axes
+
+
+def plot_directions(problem: LeastSquaresProblem, coordinates, axes=None):
+    """What data tell: each direction in the space of the free numbers as a bar, the best known at the top.
+
+    A bar is made of the shares of the numbers in its direction (squares of the parts of a right singular vector of the
+    Jacobian, scaled by the widths of the bounds). Its name is the standard error along it in % of those widths; pale
+    ones are known no better than from the bounds alone, and the numbers in them cannot be told apart.
+
+    Args: problem, coordinates: as `Fit.problem` and `Fit.coordinates`, with finite bounds; axes (new ones by default).
+    Returns the Axes. Reference: Vajda and others, Chemical Engineering Science 40, 1985.
+    """
+    from matplotlib import colormaps
+
+    axes = _axes(axes)
+    scaled = problem.jacobian(np.asarray(coordinates, dtype=float)) * (problem.upper - problem.lower)
+    _, singular, directions = np.linalg.svd(scaled, full_matrices=False)
+    place, left, colours = np.arange(singular.size), np.zeros(singular.size), colormaps["tab10"](np.arange(10))
+    for k, (label, share) in enumerate(zip(problem.labels, directions.T**2, strict=True)):
+        bars = axes.barh(place, 100 * share, left=left, height=0.7, color=colours[k % 10], label=label)
+        left += 100 * share
+        for bar, value in zip(bars, singular, strict=True):
+            bar.set_alpha(1.0 if value > 1.0 / UNINFORMED else 0.35)
+    errors = 100 / np.maximum(singular, 1e-12)
+    names = [f"{error:.2g} %" if error < 100 * UNINFORMED else "open" for error in errors]
+    axes.set(xlabel="share in the direction [%]", ylabel="standard error, of the bounds", ylim=(singular.size - 0.5, -0.5))
+    axes.set_yticks(place, names)
+    axes.legend(frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
+    return axes
+
+
+def plot_posterior(posterior: Posterior, to_values=None, axes=None):
+    """Draws of a posterior, each pair of numbers against each other and each alone on the diagonal, by ArviZ.
+
+    Args: posterior: of `sample_posterior`; to_values: coordinates -> values [SI], both shape (parameters,); axes, shape
+    (parameters, parameters) (new ones by default). Divergent draws are marked. Returns the Axes.
+    Raises: ImportError without ArviZ; ValueError for one number alone, which has no pair.
+    """
+    count = len(posterior.labels)
+    if count < 2:
+        raise ValueError(f"pairs need two numbers or more, the posterior has {', '.join(posterior.labels)} alone")
+    draws = posterior.to_arviz(to_values)
+    if axes is None:
+        from matplotlib.figure import Figure
+
+        axes = Figure(figsize=(2.6 * count, 2.4 * count), layout="constrained").subplots(count, count)
+    import arviz  # to_arviz has seen to it that it is there
+
+    names, divergent = list(posterior.labels), bool(posterior.divergences)
+    style = {"color": SIMULATED, "s": 3, "alpha": 0.4}
+    with warnings.catch_warnings():  # ArviZ calls what Matplotlib is about to drop
+        warnings.simplefilter("ignore")
+        arviz.plot_pair(
+            draws, var_names=names, marginals=True, divergences=divergent, scatter_kwargs=style, ax=axes, textsize=9
+        )
     return axes

@@ -3,9 +3,20 @@
 import numpy as np
 
 from jaxlines.edge.display import readable_unit
-from jaxlines.edge.plots import BAND, MEASURED, SIMULATED, _axes, _label, _largest
+from jaxlines.edge.plots import (
+    BAND,
+    MAX_POINTS,
+    MEASURED,
+    SIMULATED,
+    _axes,
+    _label,
+    _largest,
+    decimate,
+    decimate_band,
+)
 from jaxlines.inference.sensitivity_indices import Sensitivity
 from jaxlines.inference.statistics import Band, Summary
+from jaxlines.simulation.ensemble_result import Ensemble
 
 MOST_POINTS = 1500
 
@@ -27,22 +38,48 @@ def plot_histogram(summary: Summary, axes=None):
     return axes
 
 
-def plot_band(band: Band, kept=None, axes=None):
-    """A sensor over time: nested bands around the median, and a few lanes; `kept`, shape (lanes, times)."""
+def plot_band(band: Band, kept=None, axes=None, limit: int = MAX_POINTS):
+    """A sensor over time: nested bands of quantiles around the median, and a few lanes.
+
+    Args: band: of `SweepResult.found.bands`; kept: lanes drawn on their own, SI, shape (lanes, times); axes; limit:
+    points of a curve, of which the bands keep the widest place of every stretch.
+    """
     axes = _axes(axes)
     unit, factor = readable_unit(band.unit, _largest(band.high))
-    ordered = sorted(band.quantiles)
+    return _draw_bands(axes, band.times, band.quantiles, kept, _label(band.name, unit), factor, limit)
+
+
+def plot_ensemble(ensemble: Ensemble, name: str, axes=None, *, probabilities=(0.05, 0.25, 0.5, 0.75, 0.95), lanes=3):
+    """An output of an ensemble over time: bands of quantiles over the lanes that can be trusted, and a few lanes.
+
+    Args: ensemble: of `ensemble`; name: of an output; axes (new ones by default); probabilities: of the quantiles, a
+    band for each pair around the median; lanes: how many are drawn on their own.
+    Raises: ValueError when no lane can be trusted.
+    """
+    values = ensemble[name][ensemble.usable]
+    if not len(values):
+        raise ValueError(f"no lane can be trusted, so that there is nothing to draw: {ensemble.statuses}")
+    unit, factor = readable_unit(ensemble.units.get(name, ""), _largest(values))
+    quantiles = dict(zip(probabilities, np.quantile(values, probabilities, axis=0), strict=True))
+    kept = values[np.linspace(0, len(values) - 1, min(lanes, len(values))).astype(int)]
+    return _draw_bands(_axes(axes), ensemble.times, quantiles, kept, _label(name, unit), factor, MAX_POINTS)
+
+
+def _draw_bands(axes, times, quantiles: dict, kept, label: str, factor: float, limit: int):
+    """Nested bands, lanes, median."""
+    ordered = sorted(quantiles)
     for low in [q for q in ordered if q < 0.5]:
         high = next((q for q in ordered if np.isclose(q, 1 - low)), None)
         if high is not None:
-            ends = band.quantiles[low] * factor, band.quantiles[high] * factor
-            label = f"{100 * (high - low):.3g} %"
-            axes.fill_between(band.times, *ends, color=BAND, alpha=0.18, lw=0, label=label)
-    for series in () if kept is None else kept[:5]:
-        axes.plot(band.times, series * factor, color=MEASURED, lw=0.7, alpha=0.7)
-    if 0.5 in band.quantiles:
-        axes.plot(band.times, band.quantiles[0.5] * factor, color=SIMULATED, lw=1.6, label="median")
-    axes.set(xlabel="time [s]", ylabel=_label(band.name, unit))
+            outline = decimate_band(times, quantiles[low] * factor, quantiles[high] * factor, limit)
+            axes.fill_between(*outline, color=BAND, alpha=0.18, lw=0, label=f"{100 * (high - low):.3g} %")
+    for k, series in enumerate(() if kept is None else kept[:5]):
+        few = "some lanes" if k == 0 else "_lane"
+        axes.plot(*decimate(times, series * factor, limit), color=MEASURED, lw=0.7, alpha=0.7, label=few)
+    if 0.5 in quantiles:
+        median = decimate(times, quantiles[0.5] * factor, limit)
+        axes.plot(*median, color=SIMULATED, lw=1.6, label="median")
+    axes.set(xlabel="time [s]", ylabel=label)
     axes.legend(frameon=False, loc="best", fontsize=8)
     axes.margins(x=0)
     return axes

@@ -1,6 +1,5 @@
 """The report of a sweep: one page of HTML that needs nothing else, in light and dark; and its summary as JSON."""
 
-import functools
 import importlib.metadata
 from pathlib import Path
 from typing import Any
@@ -8,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxlines.edge.display import readable, readable_unit
-from jaxlines.edge.report import _STYLE, _versions, inline_svg
+from jaxlines.edge.report_page import PRINT_POINTS, SCREEN_POINTS, picture, render
 from jaxlines.edge.sweep_plots import main_measure, plot_band, plot_histogram, plot_scatter, plot_sensitivity
 from jaxlines.edge.writing import _json, write_whole
 from jaxlines.inference.propagation import Linear
@@ -18,6 +17,8 @@ from jaxlines.inference.sweep_result import SweepResult
 from jaxlines.simulation.ensemble_result import LANE_MESSAGES
 
 _SCATTERS = 2
+_HEAD = ["quantile", "value", "95 % interval", "whatever the failed lanes give"]
+_MOST_PRINTED, _MOST_SHOWN = 1_500, 4_000
 _LISTED = ("name", "quantiles", "exceedances")
 
 
@@ -25,17 +26,6 @@ def status_name(code: int) -> str:
     """The name of a status code."""
     names = list(LANE_MESSAGES)
     return names[code] if code < len(names) else str(code)
-
-
-def _figure(draw, description: str, size=(8.2, 3.2)) -> str:
-    """A picture for the page; `draw` draws into Axes."""
-    import matplotlib
-    from matplotlib.figure import Figure
-
-    with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=size, layout="constrained")
-        draw(figure.add_subplot())
-        return inline_svg(figure, description)
 
 
 def _pair(unit: str, ends: tuple[float, float]) -> str:
@@ -46,26 +36,27 @@ def _pair(unit: str, ends: tuple[float, float]) -> str:
     return f"{texts[0]} to {texts[1]} {label}".strip()
 
 
-def _quantile_rows(summary: Summary) -> list[dict[str, str]]:
+def _quantile_rows(summary: Summary) -> list[list[str]]:
+    """Quantiles and exceedances as texts: name, value, 95 % interval, and with failed lanes what they may change."""
     rows = [
-        {
-            "name": f"{100 * q.probability:g} %",
-            "value": readable(summary.unit, q.value),
-            "interval": _pair(summary.unit, q.ci95),
-            "bounds": _pair(summary.unit, q.bounds) if summary.failed else "",
-        }
+        [
+            f"{100 * q.probability:g} %",
+            readable(summary.unit, q.value),
+            _pair(summary.unit, q.ci95),
+            _pair(summary.unit, q.bounds),
+        ]
         for q in summary.quantiles
     ]
-    for e in summary.exceedances:
-        rows.append(
-            {
-                "name": f"P(above {readable(summary.unit, e.threshold)})",
-                "value": f"{e.value:.4g}",
-                "interval": f"{e.wilson[0]:.4g} to {e.wilson[1]:.4g}",
-                "bounds": f"{e.bounds[0]:.4g} to {e.bounds[1]:.4g}" if summary.failed else "",
-            }
-        )
-    return rows
+    rows += [
+        [f"P(above {readable(summary.unit, e.threshold)})", f"{e.value:.4g}", _share(e.wilson), _share(e.bounds)]
+        for e in summary.exceedances
+    ]
+    return rows if summary.failed else [row[:3] for row in rows]
+
+
+def _share(ends: tuple[float, float]) -> str:
+    """An interval of a probability."""
+    return f"{ends[0]:.4g} to {ends[1]:.4g}"
 
 
 def _linear_text(summary: Summary, linear: Linear | None) -> str:
@@ -85,18 +76,20 @@ def _reduction(result: SweepResult, summary: Summary) -> dict[str, Any]:
     found = result.found
     causes = found.sensitivities.get(summary.name, [])
     spread = f"mean {readable(summary.unit, summary.mean)}, standard deviation {readable(summary.unit, summary.sd)}"
-    pictures = [_figure(lambda a: plot_histogram(summary, a), f"histogram of {summary.name}; {spread}")]
+    pictures = [picture(lambda axes, _: plot_histogram(summary, axes), f"histogram of {summary.name}; {spread}")]
     bars = [
-        _figure(
-            lambda a, c=cause: plot_sensitivity(c, summary.unit, a), f"{cause.method} of {summary.name}", (8.2, 2.6)
+        picture(
+            lambda axes, _, c=cause: plot_sensitivity(c, summary.unit, axes),
+            f"{cause.method} of {summary.name}; {_ranking(cause)}",
+            size=(8.2, 2.6),
         )
         for cause in causes
     ]
     scatters = [
-        _figure(
-            lambda a, n=name: plot_scatter(summary, n, found.rows, found.worst[summary.name], a),
+        picture(
+            lambda axes, _, n=name: plot_scatter(summary, n, found.rows, found.worst[summary.name], axes),
             f"{summary.name} over {name}, worst lanes marked",
-            (4.1, 3.0),
+            size=(4.1, 3.0),
         )
         for name in _most_important(result, causes)
     ]
@@ -104,14 +97,21 @@ def _reduction(result: SweepResult, summary: Summary) -> dict[str, Any]:
         "name": summary.name,
         "spread": spread,
         "range": _pair(summary.unit, (summary.minimum, summary.maximum)),
+        "head": _HEAD if summary.failed else _HEAD[:3],
         "rows": _quantile_rows(summary),
-        "failed": summary.failed,
         "linear": _linear_text(summary, found.linear.get(summary.name)),
         "pictures": pictures,
         "bars": bars,
         "scatters": scatters,
         "worst": _worst(result, summary),
     }
+
+
+def _ranking(cause: Sensitivity) -> str:
+    """The three most important numbers in words."""
+    values = np.nan_to_num(cause.measures[main_measure(cause)])
+    order = np.argsort(-np.abs(values))[:3]
+    return "most important: " + ", ".join(f"{cause.names[j]} ({values[j]:.3g})" for j in order)
 
 
 def _most_important(result: SweepResult, causes: list[Sensitivity]) -> list[str]:
@@ -134,22 +134,13 @@ def _worst(result: SweepResult, summary: Summary) -> dict[str, Any]:
     return {"head": ["lane", summary.name, *names], "rows": rows[:5]}
 
 
-@functools.cache
-def _template():
-    """The page."""
-    import jinja2
-
-    loader = jinja2.PackageLoader("jaxlines.edge", ".")
-    environment = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    return environment.get_template("sweep_report.html.jinja")
-
-
 def sweep_report(result: SweepResult, title: str) -> str:
     """The report of a sweep as one page of HTML without any link to the outside."""
     found, content = result.found, result.content
     failed = {status_name(code): lanes for code, lanes in found.failed.items()}
     share = result.failed_fraction
-    return _template().render(
+    return render(
+        "sweep_report.html.jinja",
         title=title,
         status="complete" if not failed else f"{100 * share:.3g} % failed",
         mood="good" if not failed else ("fair" if share < 0.1 else "bad"),
@@ -161,32 +152,38 @@ def sweep_report(result: SweepResult, title: str) -> str:
         numbers=_numbers(content["plan"]),
         sampler=_described(content["plan"]["sampler"]),
         hash=content["hash"],
-        versions=_versions(),
     )
 
 
-def _band(result: SweepResult, name: str) -> dict[str, str]:
+def _band(result: SweepResult, name: str) -> dict[str, Any]:
     """A sensor over time for the page."""
     band, kept = result.found.bands[name], result.found.kept.get(name)
-    return {"name": name, "svg": _figure(lambda axes: plot_band(band, kept, axes), f"{name} over time, bands")}
+    ends = readable(band.unit, float(np.nanmin(band.low)), float(np.nanmax(band.high)))
+    alt = f"{name} over time, bands of quantiles; all lanes lie within {ends}"
+    points = min(_MOST_PRINTED, PRINT_POINTS // 12), min(_MOST_SHOWN, SCREEN_POINTS // 12)
+    draw = lambda axes, limit: plot_band(band, kept, axes, limit)  # noqa: E731
+    return {"name": name, "picture": picture(draw, alt, points=points, samples=band.times.size)}
 
 
-def _numbers(plan: dict) -> list[dict[str, str]]:
+def _numbers(plan: dict) -> list[tuple[str, str]]:
     """The uncertain numbers and their distributions, in words."""
     uncertain = plan["uncertain"]
-    rows = [{"name": name, "law": _described(law)} for name, law in uncertain["single"].items()]
-    rows += [{"name": ", ".join(group["names"]), "law": group["type"]} for group in uncertain["joint"]]
-    return rows + [{"name": pair, "law": f"correlation {r:g}"} for pair, r in uncertain["correlation"].items()]
+    rows = [(name, _described(law)) for name, law in uncertain["single"].items()]
+    rows += [(", ".join(group["names"]), group["type"]) for group in uncertain["joint"]]
+    return rows + [(pair, f"correlation {r:g}") for pair, r in uncertain["correlation"].items()]
 
 
 def _described(content: dict) -> str:
     """ "Normal, mean 3, sd 0.1", from the plan."""
-    parts = [
-        f"{key} {_described(value) if isinstance(value, dict) else value}"
-        for key, value in content.items()
-        if key != "type" and value is not None
-    ]
+    parts = [f"{key} {_word(value)}" for key, value in content.items() if key != "type" and value is not None]
     return ", ".join([content["type"], *parts])
+
+
+def _word(value) -> str:
+    """An entry of a plan, in words."""
+    if isinstance(value, dict):
+        return _described(value)
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def sweep_summary(result: SweepResult, title: str) -> dict:
