@@ -15,6 +15,7 @@ from jaxlines.edge.formats import read_columns
 from jaxlines.edge.new_commands import add_commands
 from jaxlines.edge.proposing import TEMPLATES, propose_study
 from jaxlines.edge.study import load_study
+from jaxlines.edge.sweep_study import load_sweep
 
 ATMOSPHERE = 101325.0
 TIMES = np.arange(400) * 0.01
@@ -128,6 +129,8 @@ def test_a_template_is_chosen_and_can_be_read(folder, name):
     np.testing.assert_allclose(study.recording.times, TIMES / 5 if name == "long-pipe" else TIMES, atol=1e-12)
     assert study.free and max(len(line) for line in found.text.splitlines()) < 240
     assert "CHECK" in found.text
+    swept = load_sweep(folder / f"{name}.toml")
+    assert swept.count == 512 and "peak" in swept.plan.model.reductions
 
 
 def test_doubts_are_named(folder):

@@ -32,6 +32,7 @@ from jaxlines.simulation.simulate import simulate
 
 EXAMPLE = "example:"
 MEASURED = "measured"
+NOTHING_TO_SIMULATE = 'there is nothing to simulate: add a table [simulate] with stop = "1 s"'
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,10 +88,9 @@ class Study:
         Inputs that [simulate.inputs] does not give come from the recording. Raises: StudyError when there are no
         times; as `simulate`.
         """
-        recorded = None if self.recording is None else self.recording.times
-        times = recorded if recorded is not None and (on_recording or self.times is None) else self.times
+        times = self.simulated_times(on_recording)
         if times is None:
-            raise StudyError(f'{self.source}: there is nothing to simulate: add a table [simulate] with stop = "1 s"')
+            raise StudyError(f"{self.source}: {NOTHING_TO_SIMULATE}")
         measured = self._recorded_inputs()
         inputs = self.inputs | measured if on_recording else measured | self.inputs
         channels = self.recording.channels if self.recording is not None else {}
@@ -98,6 +98,11 @@ class Study:
         wanted = dict.fromkeys([*self.names.observed, *self.outputs, *seen])
         start = self._start(on_recording)
         return simulate(self.circuit, times, inputs, initial=start, outputs=list(wanted), **self.numerics)
+
+    def simulated_times(self, on_recording: bool = False) -> np.ndarray | None:
+        """The times of [simulate] or else of the recording, which `on_recording` prefers; None without either."""
+        recorded = None if self.recording is None else self.recording.times
+        return recorded if recorded is not None and (on_recording or self.times is None) else self.times
 
     def _start(self, on_recording: bool) -> dict[str, float]:
         """Initial values, with the first usable sample where they are "measured" (or not given, on a recording)."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxlines.edge.building import Builder, StudyError, suggest
 from jaxlines.edge.naming import at, look_up, path_metadata
-from jaxlines.edge.study import Study, build_study, study_file
+from jaxlines.edge.study import NOTHING_TO_SIMULATE, Study, build_study, study_file
 from jaxlines.edge.sweep_tables import CasesTable, SweepTable, UncertainTable
 from jaxlines.edge.tables import check_layout
 from jaxlines.inference import distributions, samplers
@@ -63,8 +63,9 @@ def load_sweep(source, count: int | None = None) -> SweepStudy:
 
 def sweep_of(study: Study, table: SweepTable, folder: Path, count: int | None = None) -> SweepStudy:
     """The sweep of a study from its table; `count` instead of the table's. Raises StudyError with the place."""
-    if study.times is None:
-        raise StudyError('sweep: there is nothing to simulate: add a table [simulate] with stop = "1 s"')
+    times = study.simulated_times()
+    if times is None:
+        raise StudyError(f"sweep: {NOTHING_TO_SIMULATE}")
     builder = Builder(float(study.circuit.fluid.atmospheric_pressure))
     numbers = _uncertain(study, table, builder, folder)
     reductions, thresholds = _reductions(study, table, builder)
@@ -77,11 +78,11 @@ def sweep_of(study: Study, table: SweepTable, folder: Path, count: int | None = 
     with at("sweep"):
         plan = circuit_plan(
             study.circuit,
-            study.times,
+            times,
             numbers,
             outputs={**{name: name for name in table.outputs}, **reductions},
             inputs=study._recorded_inputs() | study.inputs,
-            initial=study._start(on_recording=False),
+            initial=study._start(on_recording=study.times is None),
             sampler=_sampler(table, numbers, count),
             count=count,
             derivatives=table.derivatives,

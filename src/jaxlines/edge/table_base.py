@@ -9,13 +9,13 @@ def flat(value):
     """Tables in tables as one with dotted names, so that `A.pressure = ...` may stand without quotes."""
     if not isinstance(value, dict):
         return value
-    flat = {}
+    found = {}
     for key, inner in value.items():
         if isinstance(inner, dict):
-            flat |= {f"{key}.{rest}": item for rest, item in flat(inner).items()}
+            found |= {f"{key}.{rest}": item for rest, item in flat(inner).items()}
         else:
-            flat[key] = inner
-    return flat
+            found[key] = inner
+    return found
 
 
 def as_list(value):
