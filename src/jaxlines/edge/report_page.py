@@ -24,7 +24,6 @@ PRINT_POINTS, SCREEN_POINTS = 24_000, 90_000
 _DECIMALS = re.compile(r"\d+\.\d{3,}")
 _STYLE: Any = {
     "svg.fonttype": "none",
-    "svg.hashsalt": "jaxlines",
     "font.size": 10,
     "text.color": INK,
     "axes.edgecolor": INK,
@@ -98,7 +97,7 @@ def inline_svg(figure, description: str) -> str:
 
     buffer = io.StringIO()
     blank = dict.fromkeys(("Creator", "Date", "Format", "Type"))
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context({**_STYLE, "svg.hashsalt": description}):  # no two drawings of a page share an id
         figure.savefig(buffer, format="svg", transparent=True, metadata=blank)
     svg = buffer.getvalue()
     svg = svg[svg.index("<svg") :].replace(INK, "currentColor").replace(SIMULATED, "var(--blue)")

@@ -112,7 +112,8 @@ def _hover(axes, screen: Screen) -> None:
     """What is said of a value under the pointer."""
     from bokeh.models import HoverTool
 
-    names = axes.get_xlabel() or "x", axes.get_ylabel() or "y"
+    panels = axes.get_shared_x_axes().get_siblings(axes)  # the lowest one names the common abscissa
+    names = next((panel.get_xlabel() for panel in panels if panel.get_xlabel()), "x"), axes.get_ylabel() or "y"
     for mode in ("vline", "mouse"):
         for renderer in [renderer for renderer, of in screen.hover if of == mode]:
             columns = renderer.data_source.data
