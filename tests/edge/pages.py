@@ -17,7 +17,8 @@ class Page(HTMLParser):
 
     def __init__(self, text: str):
         HTMLParser.__init__(self)
-        self.words, self.addresses, self.open, self.plots, self.policy = [], [], [], [], ""
+        self.words, self.addresses, self.open, self.plots = [], [], [], []
+        self.policy = ""
         self.in_script, self.in_plot = False, False
         self.feed(text)
 
@@ -25,7 +26,7 @@ class Page(HTMLParser):
         values = dict(attrs)
         self.addresses += [value for key, value in attrs if key in ("src", "href", "xlink:href", "action", "data")]
         if values.get("http-equiv") == "Content-Security-Policy":
-            self.policy = values["content"]
+            self.policy = values["content"] or ""
         self.in_script, self.in_plot = tag in ("script", "style"), values.get("class") == "plot"
         if tag not in VOID:
             self.open.append(tag)

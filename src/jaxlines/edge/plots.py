@@ -1,6 +1,5 @@
 """Pictures of fits and simulations: each function draws into Axes (new ones by default) and returns them."""
 
-import itertools
 import warnings
 from collections.abc import Sequence
 
@@ -153,10 +152,10 @@ def plot_starts(starts: Sequence[Start], axes=None):
     costs = np.sort([start.cost for start in starts if np.isfinite(start.cost)])
     failed = len(starts) - costs.size
     label = f"{costs.size} ended" + (f", {failed} failed" if failed else "")
+    above = np.maximum(costs - costs[:1], 1e-3)  # what differs by less is the same optimum
+    axes.plot(np.arange(1, costs.size + 1), above, color=SIMULATED, lw=1.0, marker="o", ms=4, label=label)
     if costs.size:
-        above = np.maximum(costs - costs[0], 1e-3)  # what differs by less is the same optimum
-        axes.semilogy(np.arange(1, costs.size + 1), above, color=SIMULATED, lw=1.0, marker="o", ms=4, label=label)
-        axes.set_ylim(5e-4, max(1.0, 3 * above[-1]))
+        axes.set(yscale="log", ylim=(5e-4, max(1.0, 3 * above[-1])))
     axes.set(xlabel="starts, best first", ylabel="cost above the best")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.legend(frameon=False, loc="upper left")
@@ -208,7 +207,9 @@ def plot_directions(problem: LeastSquaresProblem, coordinates, axes=None):
             bar.set_alpha(1.0 if value > 1.0 / UNINFORMED else 0.35)
     errors = 100 / np.maximum(singular, 1e-12)
     names = [f"{error:.2g} %" if error < 100 * UNINFORMED else "open" for error in errors]
-    axes.set(xlabel="share in the direction [%]", ylabel="standard error, of the bounds", ylim=(singular.size - 0.5, -0.5))
+    axes.set(
+        xlabel="share in the direction [%]", ylabel="standard error, of the bounds", ylim=(singular.size - 0.5, -0.5)
+    )
     axes.set_yticks(place, names)
     axes.legend(frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
     return axes
