@@ -3,10 +3,14 @@
 import numpy as np
 from rich.console import Console
 from ringdown_data import COSINE_SIZES, Ringdown, cosine_start, damped_cosine
-from ringdown_model import MODELS, PASCAL
+from ringdown_fits import Fits, batch_of
+from ringdown_model import PASCAL, Structure
 from scipy.optimize import least_squares
 
 from jaxlines.inference.batch import Batch
+
+WORTH = 0.02  # per cent of hold: by how much a further term must better the prediction of left-out runs
+EVERY = 4  # of the runs of other units, one in so many is learnt from
 
 
 def pooled(batch: Batch, lanes: np.ndarray, start: np.ndarray) -> np.ndarray:
@@ -24,6 +28,7 @@ def pooled(batch: Batch, lanes: np.ndarray, start: np.ndarray) -> np.ndarray:
         slopes = batch.sensitivities(numbers, lanes)[1] * steps * weight[..., None]
         return slopes.reshape(-1, point.size)
 
+    start = np.clip(start, bounds[:, 0] + 1e-6, bounds[:, 1] - 1e-6)
     found = least_squares(residuals, start, jac=jacobian, bounds=bounds.T, x_scale="jac", xtol=1e-5, ftol=1e-6)  # pyright: ignore
     return found.x
 
@@ -37,77 +42,66 @@ def folds(runs: list[Ringdown], kind: str):
             if kind == "halves" and own.size >= 6:
                 yield (unit, name), own[::2], own[1::2]
                 yield (unit, name), own[1::2], own[::2]
-            others = np.flatnonzero((units != unit) & (ports == name))[::4]
+            others = np.flatnonzero((units != unit) & (ports == name))[::EVERY]
             if kind == "other units" and own.size and others.size >= 3:
                 yield (unit, name), others, own
 
 
-def carry_over(
-    runs: list[Ringdown], batches: dict[str, Batch], fitted: dict[str, np.ndarray], kind: str, console: Console
-) -> dict:
-    """Prediction of runs that were not fitted, per cent of hold, by each model and by the damped cosine.
+def cosine_errors(runs: list[Ringdown], train: np.ndarray, test: np.ndarray) -> dict[int, float]:
+    """The damped cosine shared by the training runs: RMSE of the others, per cent of hold."""
+    shared = least_squares(
+        lambda v: np.concatenate([damped_cosine(runs[i], v) - runs[i].pressure / runs[i].hold for i in train]),
+        np.median([cosine_start(runs[i]) for i in train], axis=0),
+        x_scale=COSINE_SIZES,
+    ).x
+    misses = {i: damped_cosine(runs[i], shared) - runs[i].pressure / runs[i].hold for i in test}
+    return {int(i): 100.0 * float(np.sqrt(np.mean(miss**2))) for i, miss in misses.items()}
 
-    `fitted`: model -> values of every run's own fit, shape (runs, free), whose median starts the shared search.
+
+def carry_over(
+    runs: list[Ringdown], structures: dict[str, Structure], fits: dict[str, Fits], kind: str, console: Console
+) -> tuple[dict[str, dict[int, float]], dict[tuple, list[int]]]:
+    """Prediction of runs that were not fitted: structure -> run's position -> RMSE [per cent of hold]; and the groups.
+
+    Every free number, timing included, is shared by the runs learnt from and used as it is for the others; what a run
+    brings of its own is its stroke, its hold pressure and the pressure before the stop.
     """
-    errors = {name: {} for name in [*batches, "damped cosine"]}
+    batches = {name: batch_of(runs, s, fits[name].result.values) for name, s in structures.items()}
+    errors: dict[str, dict[int, float]] = {name: {} for name in [*structures, "damped cosine"]}
     hold = np.array([run.hold for run in runs]) * PASCAL
-    groups = {}
+    groups: dict[tuple, list[int]] = {}
     for group, train, test in folds(runs, kind):
         console.log(f"{kind}: {group[0]} {group[1]}, {train.size} runs to {test.size}")
         for name, batch in batches.items():
-            medians = np.median(fitted[name][train], axis=0)
+            medians = np.median(fits[name].result.values[train], axis=0)
             start = np.array([f.to_coordinate(v) for f, v in zip(batch.free, medians, strict=True)])
-            bounds = np.array([f.coordinate_bounds() for f in batch.free])
-            point = pooled(batch, train, np.clip(start, bounds[:, 0] + 1e-6, bounds[:, 1] - 1e-6))
+            point = pooled(batch, train, start)
             shown = batch.predict(batch.to_values(np.tile(point, (test.size, 1))), test)
             rmse = np.sqrt(np.mean((shown - batch.measured[test])[..., 0] ** 2, axis=1))
-            errors[name] |= dict(zip(test, 100.0 * rmse / hold[test], strict=True))
-        shared = least_squares(
-            lambda v, train=train: np.concatenate(
-                [damped_cosine(runs[i], v) - runs[i].pressure / runs[i].hold for i in train]
-            ),
-            np.median([cosine_start(runs[i]) for i in train], axis=0),
-            x_scale=COSINE_SIZES,
-        ).x
-        for i in test:
-            miss = damped_cosine(runs[i], shared) - runs[i].pressure / runs[i].hold
-            errors["damped cosine"][i] = 100.0 * float(np.sqrt(np.mean(miss**2)))
-        groups.setdefault(group, []).extend(test)
-    return summarise_carry_over(errors, groups)
+            errors[name] |= dict(zip(test.tolist(), (100.0 * rmse / hold[test]).tolist(), strict=True))
+        errors["damped cosine"] |= cosine_errors(runs, train, test)
+        groups.setdefault(group, []).extend(test.tolist())
+    return errors, groups
 
 
-def summarise_carry_over(errors: dict, groups: dict) -> dict:
-    """Median and 90th percentile of each model, and the paired difference of air minus constant by group."""
-    if not groups:
-        return {}
-    found = {
-        name: {"median": float(np.median(list(e.values()))), "p90": float(np.percentile(list(e.values()), 90))}
-        for name, e in errors.items()
-    }
-    constant, air = (errors[name] for name in MODELS)
-    differences = np.array([np.mean([air[i] - constant[i] for i in members]) for members in groups.values()])
-    spread = float(differences.std(ddof=1) / np.sqrt(differences.size)) if differences.size > 1 else float("nan")
-    comparison = {
+def spread(percent) -> dict[str, float]:
+    """Median and 90th percentile of RMSEs."""
+    found = np.asarray(percent, dtype=float)
+    return {"median": float(np.median(found)), "p90": float(np.percentile(found, 90))}
+
+
+def paired(errors: dict, groups: dict, term: str, without: str) -> dict:
+    """By how much a structure with a term predicts worse than one without it, by group of runs [per cent of hold]."""
+    differences = np.array([np.mean([errors[term][i] - errors[without][i] for i in g]) for g in groups.values()])
+    error = float(differences.std(ddof=1) / np.sqrt(differences.size)) if differences.size > 1 else None
+    return {
         "mean": float(differences.mean()),
-        "standard_error": None if np.isnan(spread) else spread,
+        "standard_error": error,
         "groups": int(differences.size),
-        "groups_where_air_is_better": int((differences < 0).sum()),
+        "groups_where_it_is_better": int((differences < 0).sum()),
     }
-    return {**found, "air minus constant": comparison}
 
 
-def verdict(carried: dict) -> str:
-    """What the data prefer in predicting left-out runs, in words; 0.05 % of hold counts as a difference."""
-    if not carried:
-        return "carry-over was not studied"
-    differences = [c["air minus constant"] for c in carried.values() if c]
-    if not differences:
-        return "too few runs to compare a constant with a pressure-dependent capacitance"
-    gains = [d["mean"] for d in differences]
-    if max(gains) < -0.05:
-        return "left-out runs are predicted better with a pressure-dependent capacitance"
-    if min(gains) > 0.05:
-        return "left-out runs are predicted better with a constant capacitance"
-    if max(map(abs, gains)) > 0.05:
-        return "left-out runs of the same unit and of other units disagree on a pressure-dependent capacitance"
-    return "left-out runs do not call for a pressure-dependent capacitance (differences below 0.05 % of hold)"
+def wanted(difference: dict) -> bool:
+    """Whether left-out runs want a term: predicted better by `WORTH`, and by two standard errors."""
+    return -difference["mean"] > max(WORTH, 2.0 * (difference["standard_error"] or 0.0))

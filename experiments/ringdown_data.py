@@ -25,6 +25,8 @@ class Ringdown:
     port: str
     pressure: np.ndarray  # counts, shape (331,)
     rate: np.ndarray  # counts of angle per second, positive in the direction of the stroke
+    approach: np.ndarray  # rate of a stroke that is not stopped: smooth, constant after the stop, counts/s
+    clock: np.ndarray  # time since the stop, s
     hold: float  # pressure long after the stop, counts
     speed: float  # angle rate before the stop, counts/s
     first_pressure: float  # at the start of the window, mean of five samples
@@ -46,6 +48,24 @@ def stop_index(stroke: np.ndarray, rate: np.ndarray) -> int:
     return round(below - 1 + float(np.clip(share, 0.0, 1.0)))
 
 
+def approach(stroke: np.ndarray, stop: int) -> tuple[np.ndarray, float]:
+    """The stroke before its stop as a parabola, whose rate bears far less noise than the measured one.
+
+    Args: stroke: angle [counts], shape (samples,); stop: sample nearest to the stop.
+    Returns: rate of the parabola at every sample of the window, held after the stop [counts/s]; when the parabola
+    reaches the angle at which the shaft comes to rest [s from sample `stop`].
+    """
+    last, count = stop - 5, int(min(100, stop // 3))
+    parabola = np.polynomial.Polynomial.fit(np.arange(-count, 1) / RATE, stroke[last - count : last + 1], 2).convert()
+    rate, rest, reached = parabola.deriv(), stroke[stop + 15 : stop + 45].mean(), 5.0 / RATE
+    for _ in range(4):
+        reached -= (parabola(reached) - rest) / rate(reached)
+    if not abs(reached - 5.0 / RATE) < 10.0 / RATE:
+        raise ValueError("the stroke does not run steadily into its stop")
+    times = (np.arange(stop - BEFORE, stop + AFTER + 1) - last) / RATE
+    return np.asarray(rate(np.minimum(times, reached))), float(reached - 5.0 / RATE)
+
+
 def read_run(run_id: int, unit: str, table: pd.DataFrame) -> Ringdown:
     """Cut one run. Raises ValueError when it does not hold a whole stroke and ring-down."""
     if not np.all(np.isfinite(table[["Angle", "PG_1", "PG_2"]].to_numpy(float))):
@@ -60,6 +80,10 @@ def read_run(run_id: int, unit: str, table: pd.DataFrame) -> Ringdown:
     first, last = stop - BEFORE, stop + AFTER + 1
     if first < 5 or last + 100 > pressure.size:
         raise ValueError(f"run {run_id}: no whole stroke and ring-down (stop at sample {stop} of {pressure.size})")
+    try:
+        free, reached = approach(stroke, stop)
+    except ValueError as error:
+        raise ValueError(f"run {run_id}: {error}") from None
     smooth = np.asarray(savgol_filter(pressure[first:last], 9, 2))
     peak = BEFORE + int(np.argmax(smooth[BEFORE : BEFORE + 60]))
     trough = peak + int(np.argmin(smooth[peak : peak + 60]))
@@ -69,6 +93,8 @@ def read_run(run_id: int, unit: str, table: pd.DataFrame) -> Ringdown:
         port=port,
         pressure=pressure[first:last],
         rate=rate[first:last],
+        approach=free,
+        clock=np.arange(-BEFORE, AFTER + 1) / RATE - reached,
         hold=float(np.median(pressure[stop + 200 : stop + 400])),
         speed=float(np.median(rate[stop - 35 : stop - 10])),
         first_pressure=float(pressure[first - 2 : first + 3].mean()),
