@@ -54,11 +54,25 @@ class AdaptiveLanes:
         """The relative tolerance at a level of accuracy."""
         return self.first.tolerance * TIGHTER**level
 
-    def run(self, numbers: np.ndarray, lanes: np.ndarray, level: int, slopes: bool, take: Callable) -> None:
+    def slope_level(self, level: int) -> int:
+        """The level of the slopes that go with outputs of a level."""
+        return level
+
+    def run(
+        self,
+        numbers: np.ndarray,
+        lanes: np.ndarray,
+        level: int,
+        take: Callable,
+        *,
+        outputs: bool = True,
+        slopes: bool = False,
+    ) -> None:
         """Simulate lanes with values of the free parameters; see `batch_lockstep.LockstepLanes.run`."""
         for start in range(0, lanes.size, LANES):
             part = np.arange(start, min(start + LANES, lanes.size))
-            take(part, *self._call(numbers[part], lanes[part], level, slopes))
+            shown, partials = self._call(numbers[part], lanes[part], level, slopes)
+            take(part, shown if outputs else None, partials)
 
     def _call(self, numbers, lanes, level: int, slopes: bool) -> tuple[np.ndarray, np.ndarray | None]:
         """Outputs (lanes, samples, channels) and slopes (lanes, samples, channels, free); NaN for failed lanes."""

@@ -7,13 +7,15 @@ import numpy as np
 
 from jaxlines.inference.batch_adaptive import AdaptiveLanes, adaptive_lanes
 from jaxlines.inference.batch_lockstep import LockstepLanes, NotInStep, lockstep_lanes
+from jaxlines.inference.batch_memory import remembered
 from jaxlines.inference.loss import Loss
 from jaxlines.inference.noise import Noise, as_noise, estimate_noise
 from jaxlines.inference.parameters import Free
-from jaxlines.inference.problem import Problem, make_problem
+from jaxlines.inference.problem import Problem, make_problem, recorded_inputs, with_inputs
 from jaxlines.inference.recording import Recording
 from jaxlines.simulation.circuit import Circuit
 from jaxlines.simulation.integration import make_method
+from jaxlines.simulation.segments import undecided_lines
 
 ENGINES = ("auto", "explicit", "implicit", "adaptive")
 
@@ -52,7 +54,7 @@ class Batch:
     def predict(self, numbers: np.ndarray, lanes: np.ndarray, level: int = 2) -> np.ndarray:
         """Simulated channels of some lanes for values of the free parameters in SI, shape (lanes, times, channels).
 
-        level: of accuracy: each one has twice the steps of the one before, or a tenth of the tolerance.
+        level: of accuracy, see `effort` of the engine: 0 as the search begins, each one finer than the one before.
         """
         return self._run(numbers, lanes, level, False)[0]
 
@@ -70,7 +72,7 @@ class Batch:
             if slopes:
                 partials[part] = found
 
-        self.engine.run(np.asarray(numbers, dtype=float), np.asarray(lanes), level, slopes, take)
+        self.engine.run(np.asarray(numbers, dtype=float), np.asarray(lanes), level, take, slopes=slopes)
         return shown, partials
 
     def to_values(self, coordinates: np.ndarray) -> np.ndarray:
@@ -200,7 +202,7 @@ def make_batch(
     own = _own_numbers(recordings, local)
     bare = [dataclasses.replace(recording, conditions={}, initial=None) for recording in recordings]
     method = make_method(solver, "forward", max_steps)
-    first = make_problem(circuit, bare[0], free, (), {}, method, tolerance, precision, interpolation)
+    first = _first_problem(circuit, bare[0], free, method, tolerance, precision, interpolation)
     for name in noise or {}:
         if name not in first.wanted:
             raise ValueError(f"noise is given for {name!r}, which is not fitted; fitted: {', '.join(first.wanted)}")
@@ -224,6 +226,25 @@ def make_batch(
             if engine != "auto":
                 raise ValueError(f'engine="{engine}" does not fit: {reason}: use engine="adaptive" or "auto"') from None
     return dataclasses.replace(batch, engine=adaptive_lanes(first, bare, own, interpolation))
+
+
+def _first_problem(circuit, recording: Recording, free, method, tolerance, precision, interpolation) -> Problem:
+    """The problem of the first lane, made once for a circuit, parameters, times and channels.
+
+    Where the number of segments of a line follows from what drives it, the inputs count as well.
+    """
+    driving = {name: recording.channels.get(name) for name in circuit.external_inputs()}
+    parts = (circuit, tuple(free), method, tolerance, precision, interpolation)
+    key = (*parts, recording.times, tuple(recording.channels), driving if undecided_lines(circuit) else None)
+
+    def make() -> Problem:
+        own = dataclasses.replace(recording, times=recording.times.copy())
+        return make_problem(circuit, own, free, (), {}, method, tolerance, precision, interpolation)
+
+    known = remembered(key, make)
+    inputs = recorded_inputs(circuit, recording, interpolation)
+    own = dataclasses.replace(known, recording=recording, inputs=inputs)
+    return dataclasses.replace(own, values=with_inputs(own, recording, interpolation))
 
 
 def checked_starts(starts, shape: tuple[int, ...]) -> np.ndarray:

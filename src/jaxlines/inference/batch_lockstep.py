@@ -12,6 +12,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxlines.inference.batch_memory import remembered
 from jaxlines.inference.problem import Problem, recorded_inputs
 from jaxlines.inference.recording import Recording
 from jaxlines.simulation.assembly import number_locations
@@ -24,9 +25,17 @@ from jaxlines.simulation.paths import resolve
 from jaxlines.simulation.precision import cast, computing_in
 
 FINER, COARSER = 2, 2
-"""Factor on the steps at each level of accuracy, and by how many levels slopes are coarser than outputs: a slope that
-is wrong by a share moves the optimum by that share of a standard error only, while an output that is wrong moves it by
-as much as it is wrong."""
+"""Factor on the steps at each level of accuracy after the first, and by how many levels slopes are coarser than
+outputs: a slope that is wrong by a share moves the optimum by that share of a standard error only, while an output that
+is wrong moves it by as much as it is wrong."""
+
+FIRST_FINER = 4
+"""Factor on the first steps, of which the pilot asks an error of the noise, at the second level: 1/256 of that error
+for a scheme of fourth order, where one half of the steps (1/16) would be too little for nearly all."""
+
+SINGLE_SHARE, SINGLE_TIME = 1e-3, 1e-4
+"""Single precision serves where the noise is at least this share of a channel's magnitude, and intervals of the grid
+this share of the last time."""
 
 FEW = 8
 """Up to so many recordings are run as so many lanes, which a processor does in a fraction of the time."""
@@ -51,7 +60,8 @@ class LockstepLanes:
     """Recordings as lanes of one ensemble.
 
     Fields: program; driven: for each varied number that a free parameter drives, which parameter and by which ratio;
-    fixed: the other varied numbers, lanes last; num_free; bad: lanes whose own numbers are out of range.
+    fixed: the other varied numbers, lanes last; num_free; bad: lanes whose own numbers are out of range; single:
+    whether single precision is enough for slopes with the first steps.
     """
 
     program: EnsembleProgram
@@ -59,6 +69,7 @@ class LockstepLanes:
     fixed: tuple[np.ndarray, ...]
     num_free: int
     bad: np.ndarray
+    single: bool = False
 
     @property
     def name(self) -> str:
@@ -67,17 +78,29 @@ class LockstepLanes:
 
     def effort(self, level: int) -> int:
         """Steps between samples at a level of accuracy."""
-        return self.program.steps * FINER**level
+        return self.program.steps * (FIRST_FINER * FINER ** (level - 1) if level else 1)
 
-    def run(self, numbers: np.ndarray, lanes: np.ndarray, level: int, slopes: bool, take: Callable) -> None:
+    def slope_level(self, level: int) -> int:
+        """The level of the slopes that go with outputs of a level."""
+        return max(level - COARSER, 0)
+
+    def run(
+        self,
+        numbers: np.ndarray,
+        lanes: np.ndarray,
+        level: int,
+        take: Callable,
+        *,
+        outputs: bool = True,
+        slopes: bool = False,
+    ) -> None:
         """Simulate lanes with values of the free parameters, chunk by chunk on all cores.
 
         Chunks have one size whatever is left to do, so that one program serves all iterations.
 
-        Args: numbers, shape (m, free), SI; lanes: which recordings, shape (m,); level: of accuracy; slopes: whether
-        derivatives are wanted; take(part, outputs, slopes): called with positions among the m, outputs (part, samples,
-        channels) and, if wanted, slopes (part, samples, channels, free) in SI; NaN for failed lanes. It is called
-        in several threads.
+        Args: numbers, shape (m, free), SI; lanes: which recordings, shape (m,); level: of accuracy; take(part, outputs,
+        slopes): called with positions among the m, outputs (part, samples, channels) and slopes (part, samples,
+        channels, free) in SI, None for what is not wanted, NaN for failed lanes. It is called in several threads.
         """
         size = CHUNK_ON_GPU
         if jax.default_backend() == "cpu":
@@ -85,38 +108,46 @@ class LockstepLanes:
         parts = [np.arange(start, min(start + size, lanes.size)) for start in range(0, lanes.size, size)]
 
         def one(part: np.ndarray) -> None:
-            take(part, *self._call(numbers[part], lanes[part], size, level, slopes))
+            take(part, *self._call(numbers[part], lanes[part], size, level, outputs, slopes))
 
-        with ThreadPoolExecutor(min(workers(), max(len(parts), 1))) as pool:
-            list(pool.map(one, parts))
+        if len(parts) == 1:
+            one(parts[0])
+        elif parts:
+            with ThreadPoolExecutor(min(workers(), len(parts))) as pool:
+                list(pool.map(one, parts))
 
-    def _call(self, numbers, lanes, size: int, level: int, slopes: bool):
+    def _call(self, numbers, lanes, size: int, level: int, outputs: bool, slopes: bool):
         index = np.concatenate([np.arange(lanes.size), np.zeros(size - lanes.size, int)])
         moved = [ratio * numbers[index, parameter] for parameter, ratio in self.driven]
         columns = [*moved, *(np.ascontiguousarray(column[..., lanes[index]]) for column in self.fixed)]
-        shown, partials = None, None
+        shown, partials, bad = None, None, self.bad[lanes][:, None, None]
         if slopes:
-            coarse = max(level - COARSER, 0)
-            shown, partials = self._differentiated(tuple(columns), coarse)
-            shown = shown if coarse == level else None
-            partials = np.moveaxis(partials[..., : lanes.size], -1, 0).swapaxes(2, 3).astype(np.float64)
-            partials = self._by_parameter(partials)
-        if shown is None:
+            coarse = self.slope_level(level)
+            shown, partials = self._differentiated(tuple(columns), coarse, ~self.bad[lanes])
+            shown = shown if outputs and coarse == level else None
+            partials = np.moveaxis(partials[..., : lanes.size], -1, 0).swapaxes(2, 3)
+            partials = np.where(bad[..., None], np.nan, self._by_parameter(partials))
+        if shown is None and outputs:
             shown = self._simulated(columns, size, level)
-        shown = np.moveaxis(shown[..., : lanes.size], -1, 0).astype(np.float64)
-        good = np.isfinite(shown).all(axis=(1, 2)) & ~self.bad[lanes]
-        if partials is not None:
-            good &= np.isfinite(partials).all(axis=(1, 2, 3))
-            partials = np.where(good[:, None, None, None], partials, np.nan)
-        return np.where(good[:, None, None], shown, np.nan), partials
+        if shown is not None:
+            shown = np.moveaxis(shown[..., : lanes.size], -1, 0).astype(np.float64)
+            shown = np.where(bad, np.nan, shown)
+        return shown, partials
 
-    def _differentiated(self, columns: tuple, level: int) -> tuple[np.ndarray, np.ndarray]:
-        """Outputs and their slopes in what the free parameters drive, lanes last."""
+    def _differentiated(self, columns: tuple, level: int, good: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Outputs and their slopes in what the free parameters drive, lanes last.
+
+        The first level is computed in single precision where that is enough; where it fails, in double.
+        """
         own, places = self.program, tuple(range(len(self.driven)))
-        with computing_in(own.precision):
-            data = cast((own.values, columns, own.grid), own.precision)
-            found = compiled(_tangent, (0, 1))(own.program, places, *data, np.asarray(self.effort(level)))
-            return np.asarray(found[0]), np.asarray(found[1])
+        for precision in ("float32", own.precision) if self.single and level == 0 else (own.precision,):
+            with computing_in(precision):
+                data = cast((own.values, columns, own.grid), precision)
+                found = compiled(_tangent, (0, 1))(own.program, places, *data, np.asarray(self.effort(level)))
+                found = (np.asarray(found[0]), np.asarray(found[1]))
+            if all(np.isfinite(x[..., : good.size][..., good]).all() for x in found):
+                break
+        return found  # pyright: ignore[reportPossiblyUnbound]
 
     def _simulated(self, columns: list, size: int, level: int) -> np.ndarray:
         """Outputs, lanes last, by the program that the pilot has compiled."""
@@ -129,7 +160,7 @@ class LockstepLanes:
         """Slopes in the free parameters, last axis, from those in the numbers that they drive."""
         if len(self.driven) == self.num_free and all(ratio == 1.0 for _, ratio in self.driven):
             return partials
-        slopes = np.zeros((*partials.shape[:-1], self.num_free))
+        slopes = np.zeros((*partials.shape[:-1], self.num_free), partials.dtype)
         for place, (parameter, ratio) in enumerate(self.driven):
             slopes[..., parameter] += ratio * partials[..., place]
         return slopes
@@ -188,25 +219,34 @@ def lockstep_lanes(
                 raise ValueError(f"{path} cannot be free and have a value of its own in each recording")
     varied: dict[Any, Any] = {paths: ratio * starts[:, k] for paths, (k, ratio) in driven.items()}
     varied |= {paths: np.moveaxis(column, -1, 0) for paths, column in fixed.items()}
-    program = prepare_ensemble(
-        first.circuit,
-        first.recording.times,
-        varied,
-        first.inputs,
-        initial=first.initial,
-        outputs=first.wanted,
-        tolerance=tolerance,
-        engine=engine,
-        precision=first.precision,
-        audit=0,
-    )
+    program = _prepared(first, varied, engine, tolerance)
     if program.program.engine == "adaptive":
         raise NotInStep("the circuit is too stiff for lanes in step, or has sampled controllers or delayed sensors")
     columns = list(fixed.values())
     bad = np.zeros(len(recordings), bool)
     if columns:
         bad = out_of_range(program.circuit, list(fixed), columns)
-    return LockstepLanes(program, tuple(driven.values()), tuple(columns), len(first.free), bad)
+    single = tolerance >= SINGLE_SHARE and _single_is_enough(program)
+    return LockstepLanes(program, tuple(driven.values()), tuple(columns), len(first.free), bad, single)
+
+
+def _prepared(first: Problem, varied: dict, engine: str, tolerance: float) -> EnsembleProgram:
+    """The program of the lanes, made once for the same circuit, inputs and varied numbers."""
+    inputs = jax.tree.map(np.array, first.inputs)  # kept with the program: not the caller's
+    times, paths = np.array(first.recording.times), list(varied)
+    options = {"initial": first.initial, "outputs": first.wanted, "tolerance": tolerance, "engine": engine}
+
+    def make() -> EnsembleProgram:
+        return prepare_ensemble(first.circuit, times, varied, inputs, precision=first.precision, audit=0, **options)
+
+    return remembered((first.circuit, times, paths, list(varied.values()), inputs, first.precision, options), make)
+
+
+def _single_is_enough(program: EnsembleProgram) -> bool:
+    """Whether single precision tells the times apart; for the explicit engine, which solves no equations."""
+    gaps = np.diff(program.grid[1:], axis=1)
+    shortest = float(np.min(gaps[gaps > 0.0], initial=np.inf))
+    return program.program.engine == "explicit" and bool(shortest > SINGLE_TIME * np.abs(program.times).max())
 
 
 def _own_numbers(first: Problem, own: Sequence[dict[str, float]]) -> dict[tuple[str, ...], np.ndarray]:

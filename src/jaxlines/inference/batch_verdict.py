@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxlines.inference.batch_lanes import Batch
-from jaxlines.inference.batch_search import Searches, on_bound
+from jaxlines.inference.batch_search import Searches
+from jaxlines.inference.batch_steps import on_bound
 from jaxlines.inference.search import NEAR_FAILURE, OFFSET_LIMIT
 from jaxlines.inference.uncertainty import UNINFORMED
 
