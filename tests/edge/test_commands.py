@@ -38,7 +38,7 @@ def fitted(study, tmp_path_factory):
 def test_fit_writes_its_results(fitted):
     result, folder = fitted
     assert result.exit_code == 0, result.output
-    assert sorted(os.listdir(folder)) == ["report.html", "result.json", "traces.csv"]
+    assert sorted(os.listdir(folder)) == ["budget.csv", "report.html", "result.json", "traces.csv"]
     assert f"wrote {folder}/result.json" in result.stdout
     assert "fluid.bulk_modulus" in result.stdout
     assert "GPa" in result.stdout
@@ -50,7 +50,8 @@ def test_result_is_strict_json_with_all_keys(fitted):
         raise AssertionError(word)
 
     content = json.loads((fitted[1] / "result.json").read_text(), parse_constant=refuse)
-    keys = "status message parameters derived rmse noise whiteness correlations identifiability scale validity warnings"
+    keys = "status message parameters derived rmse noise whiteness intervals starts log_likelihood correlations "
+    keys += "identifiability scale validity warnings scatter_between_recordings"
     assert {*keys.split(), "seconds", "version"} <= set(content)
     modulus = content["parameters"]["fluid.bulk_modulus"]
     assert set(modulus) == {"value", "sd", "ci95", "unit", "kind", "note"}

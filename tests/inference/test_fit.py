@@ -26,7 +26,7 @@ def pressure():
 
 @pytest.fixture(scope="module")
 def good_fit(pressure):
-    return jl.fit(control_line(), recording(pressure, 1), free=FREE, derived=["line.effective_bulk_modulus"])
+    return jl.fit(control_line(), recording(pressure, 11), free=FREE, derived=["line.effective_bulk_modulus"])
 
 
 def test_parameters_are_recovered_from_half_and_more_away(good_fit):
@@ -66,7 +66,7 @@ def test_air_is_conditional_on_the_polytropic_index_and_says_so(good_fit):
 def test_a_known_spread_of_the_polytropic_index_widens_the_interval_of_air(pressure, good_fit):
     """Uniform over [1, 1.4] has a standard deviation of 0.115; the interval then covers the refits at the ends."""
     spread = jl.Known("fluid.polytropic_index", 0.4 / np.sqrt(12.0))
-    fit = jl.fit(control_line(), recording(pressure, 1), free=FREE, known=[spread])
+    fit = jl.fit(control_line(), recording(pressure, 11), free=FREE, known=[spread])
     wide, narrow = fit.parameters["fluid.air_fraction"], good_fit.parameters["fluid.air_fraction"]
     assert sd_of(wide) > 5 * sd_of(narrow)
     assert wide.ci95 is not None and wide.ci95[0] < 0.0061 and wide.ci95[1] > 0.0085
@@ -89,7 +89,7 @@ def test_text_of_a_fit_shows_estimates_and_warnings(good_fit):
 
 def test_air_left_out_fails_the_whiteness_test(pressure):
     circuit = control_line().replace({"fluid.air_fraction": 0.0})
-    fit = jl.fit(circuit, recording(pressure, 1), free=[FREE[0], *FREE[2:]])
+    fit = jl.fit(circuit, recording(pressure, 11), free=[FREE[0], *FREE[2:]])
     assert not fit.channels["A.pressure"].white
     assert fit.channels["A.pressure"].whiteness_p < 1e-6
     assert any("not white" in warning for warning in fit.warnings)
@@ -140,7 +140,7 @@ def test_air_that_is_not_there_gets_an_upper_limit():
 
 def test_a_bound_is_reported(pressure):
     free = [jl.Free("fluid.bulk_modulus", (1.6e9, 4e9), start=2.2e9), *FREE[1:]]
-    fit = jl.fit(control_line(), recording(pressure, 1), free=free)
+    fit = jl.fit(control_line(), recording(pressure, 11), free=free)
     assert fit.status == "at_bound"
     assert "fluid.bulk_modulus at its lower one" in fit.message
     assert "on a bound" in fit.parameters["fluid.bulk_modulus"].note
@@ -223,20 +223,20 @@ def test_two_channels_get_their_own_noise(pressure):
 
 
 def test_several_starts_agree_and_are_counted(pressure):
-    fit = jl.fit(control_line(), recording(pressure, 1), free=FREE, starts=3)
+    fit = jl.fit(control_line(), recording(pressure, 11), free=FREE, starts=3)
     assert fit.status == "converged"
     assert any("of 3 starts reached the best optimum" in warning for warning in fit.warnings)
 
 
 def test_progress_is_told(pressure):
     said = []
-    jl.fit(control_line(), recording(pressure, 1), free=FREE, progress=lambda text, share: said.append((text, share)))
+    jl.fit(control_line(), recording(pressure, 11), free=FREE, progress=lambda text, share: said.append((text, share)))
     assert len(said) > 5
     assert all(0.0 <= share <= 1.0 for _, share in said)
 
 
 def test_a_circuit_that_cannot_be_simulated_is_a_failed_fit_not_a_crash(pressure):
-    fit = jl.fit(control_line(), recording(pressure, 1), free=FREE, max_steps=5)
+    fit = jl.fit(control_line(), recording(pressure, 11), free=FREE, max_steps=5)
     assert fit.status == "failed"
     assert "fails at the start of the search: the step limit was reached" in fit.message
     assert fit.parameters == {}
@@ -296,7 +296,7 @@ def test_recordings_of_similar_length_share_a_program():
 
 
 def test_float32_fit_finds_the_neighbourhood(pressure):
-    fit = jl.fit(control_line(), recording(pressure, 1), free=FREE, precision="float32", tolerance=1e-5)
+    fit = jl.fit(control_line(), recording(pressure, 11), free=FREE, precision="float32", tolerance=1e-5)
     assert fit.parameters["fluid.bulk_modulus"].value == pytest.approx(1.4e9, rel=0.02)
 
 
@@ -345,7 +345,7 @@ def test_wrong_recordings_say_what_is_wrong():
 
 
 def test_a_recording_is_not_changed_by_a_fit(pressure):
-    data = recording(pressure, 1)
+    data = recording(pressure, 11)
     before = dataclasses.replace(data, channels={k: v.copy() for k, v in data.channels.items()})
     jl.fit(control_line(), data, free=FREE)
     assert np.array_equal(before.channels["A.pressure"], data.channels["A.pressure"])

@@ -54,7 +54,7 @@ def _one_line_errors(study: str):
     except KeyboardInterrupt:
         typer.echo("jaxlines: interrupted", err=True)
         raise typer.Exit(INTERRUPTED) from None
-    except (ValueError, KeyError, TypeError, OSError, RuntimeError) as error:
+    except (ValueError, KeyError, TypeError, OSError, RuntimeError, ImportError) as error:
         line = _one_line(error)
         typer.echo(f"jaxlines: {line}" if line.startswith(study) else f"jaxlines: {study}: {line}", err=True)
         raise typer.Exit(WRONG_CALL) from None
@@ -82,8 +82,41 @@ def _report_files(files) -> None:
         typer.echo(f"wrote {', '.join(str(file) for file in files)}")
 
 
+Checkpoint = Annotated[
+    Path | None, typer.Option("--checkpoint", help="File kept up to date; a fit that was killed goes on from it.")
+]
+Assess = Annotated[
+    bool, typer.Option("--assess", help="Class each parameter by its likelihood profile (many more simulations).")
+]
+Draws = Annotated[
+    int,
+    typer.Option(
+        "--posterior", metavar="DRAWS", min=0, help="Sample the posterior, so many draws in each of 4 chains (minutes)."
+    ),
+]
+
+
+def _more_of(found, assess: bool, draws: int, say) -> dict:
+    """What was asked for beside the fit: classes of identifiability, draws of the posterior."""
+    more = {}
+    if found.status != "failed" and assess:
+        say("profiles", 0.95)
+        more["classes"] = found.assess()
+    if found.status != "failed" and draws:
+        say("posterior", 0.97)
+        more["posterior"] = found.posterior(draws=draws)
+    return more
+
+
 @app.command()
-def fit(study: StudyFile, out: Out = None, quiet: Quiet = False) -> None:
+def fit(
+    study: StudyFile,
+    out: Out = None,
+    quiet: Quiet = False,
+    checkpoint: Checkpoint = None,
+    assess: Assess = False,
+    posterior: Draws = 0,
+) -> None:
     """Fit the free parameters of a study to its recording."""
     from jaxlines.edge.showing import progress, show_fit
 
@@ -91,15 +124,20 @@ def fit(study: StudyFile, out: Out = None, quiet: Quiet = False) -> None:
         from jaxlines.edge.study import load_study
 
         _writable(out)
+        if posterior:
+            from jaxlines.inference.posterior import check_installed
+
+            check_installed()
         loaded = load_study(study)
         with progress(quiet) as say:
-            found = loaded.fit(say)
+            found = loaded.fit(say, checkpoint)
+            more = _more_of(found, assess, posterior, say)
         files = []
         if out is not None:  # before anything is shown: a closed pipe must not lose the result
             from jaxlines.edge.writing import write_fit
 
-            files = write_fit(found, loaded, out)
-        show_fit(found, loaded.title)
+            files = write_fit(found, loaded, out, **more)
+        show_fit(found, loaded.title, **more)
         _report_files(files)
         if found.status == "failed":
             typer.echo(f"jaxlines: {study}: the fit failed: {found.message}", err=True)

@@ -13,8 +13,10 @@ from jaxlines.edge.display import estimate_row, readable, readable_text, readabl
 from jaxlines.edge.naming import path_metadata
 from jaxlines.edge.study import Study
 from jaxlines.inference.fit_result import Fit
+from jaxlines.inference.identifiability import Identifiability
 from jaxlines.inference.parameters import Free
-from jaxlines.inference.uncertainty import p_value_text
+from jaxlines.inference.posterior import Posterior
+from jaxlines.inference.uncertainty import whiteness_text
 from jaxlines.simulation.result import Simulation
 
 
@@ -67,8 +69,16 @@ def show_sentences(console: Console, heading: str, sentences) -> None:
             console.print(f"  - {escape(readable_text(sentence))}", soft_wrap=not console.is_terminal)
 
 
-def show_fit(fit: Fit, title: str) -> None:
-    """A fit: status, estimates, channels, and everything a reader must know about them."""
+def show_fit(
+    fit: Fit,
+    title: str,
+    classes: dict[str, Identifiability] | None = None,
+    posterior: Posterior | None = None,
+) -> None:
+    """A fit: status, estimates, channels, and everything a reader must know about them.
+
+    classes, posterior: of `Fit.assess` and `Fit.posterior`, where they were asked for.
+    """
     console = plain_console()
     colour = {"converged": "green", "failed": "red"}.get(fit.status, "yellow")
     console.print(f"[bold]{escape(title)}[/bold]")
@@ -83,7 +93,7 @@ def show_fit(fit: Fit, title: str) -> None:
     show_sentences(console, "notes", notes)
     channels = [
         f"{name}: rmse {readable(channel.unit, channel.rmse)}, noise {readable(channel.unit, channel.sigma)}, "
-        f"residuals {'white' if channel.white else 'NOT white'} ({p_value_text(channel.whiteness_p)})"
+        f"residuals {whiteness_text(channel.whiteness_p)}"
         for name, channel in fit.channels.items()
     ]
     show_sentences(console, "channels", channels)
@@ -91,6 +101,26 @@ def show_fit(fit: Fit, title: str) -> None:
     show_sentences(console, "rests on", fit.scale)
     show_sentences(console, "validity of the lumped model", fit.validity.sentences() if fit.validity else ())
     show_sentences(console, "warnings", fit.warnings)
+
+
+def _searches(fit: Fit) -> list[str]:
+    """How many of several searches ended at the best optimum."""
+    if len(fit.starts) < 2:
+        return []
+    best = min(start.cost for start in fit.starts)
+    same = sum(start.cost - best < 0.01 * max(abs(best), 1.0) for start in fit.starts)
+    return [f"{same} of {len(fit.starts)} ended within 1 % of the best cost, {best:.5g}"]
+
+
+def _posterior(fit: Fit, drawn: Posterior) -> list[str]:
+    """Median and 95 % interval of each parameter, and what speaks against the draws."""
+    from jaxlines.edge.fit_files import posterior_summary
+
+    found = []
+    for name, own in posterior_summary(fit, drawn)["parameters"].items():
+        unit = fit.parameters[name].unit
+        found.append(f"{name}: median {readable(unit, own['median'])}, 95 % {readable(unit, *own['ci95'])}")
+    return [*found, *drawn.warnings]
 
 
 def _statistics(series: dict[str, tuple[np.ndarray, str]]) -> Table:

@@ -1,5 +1,6 @@
-"""Results on disk: result.json, traces.csv and report.html, each written whole or not at all."""
+"""Results on disk: result.json, traces.csv, budget.csv and report.html, each written whole or not at all."""
 
+import dataclasses
 import importlib.metadata
 import io
 import json
@@ -10,8 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxlines.edge.fit_files import budget_table, identifiability_table, posterior_summary, posterior_table
 from jaxlines.edge.report import fit_report
 from jaxlines.inference.fit_result import Fit
+from jaxlines.inference.identifiability import Identifiability
+from jaxlines.inference.posterior import Posterior
 from jaxlines.inference.uncertainty import Estimate
 from jaxlines.simulation.result import MESSAGES, Simulation
 from jaxlines.simulation.validity import Validity
@@ -77,6 +81,31 @@ def _validity(validity: Validity | None) -> dict | None:
     return None if validity is None else validity.to_dict()
 
 
+def _noise_model(fit: Fit) -> dict | None:
+    """The noise that the intervals assume, and how sure it leaves each parameter."""
+    if fit.analysis is None:
+        return None
+    noise = fit.analysis.noise
+    return {
+        "method": noise.method,
+        "sentence": noise.sentence,
+        "whiteness_p": noise.whiteness_p,
+        "autoregressive": [{"coefficients": m.coefficients, "sd_of_weighted_residuals": m.sd} for m in noise.models],
+        "degrees_of_freedom": dict(zip(fit.parameters, fit.analysis.freedom, strict=True)),
+    }
+
+
+def _starts(fit: Fit) -> list[dict]:
+    """Where each search began and ended, best first; SI."""
+    names = list(fit.parameters)
+    rows = []
+    for start in fit.starts:
+        ends = {"start": start.start, "end": start.end}
+        row = start._asdict() | {key: dict(zip(names, values, strict=False)) for key, values in ends.items()}
+        rows.append(row)
+    return rows
+
+
 def fit_result(fit: Fit, title: str) -> dict:
     """What result.json says of a fit; SI units."""
     return {
@@ -87,7 +116,12 @@ def fit_result(fit: Fit, title: str) -> dict:
         "derived": _estimates(fit.derived),
         "rmse": {name: channel.rmse for name, channel in fit.channels.items()},
         "noise": {name: channel.sigma for name, channel in fit.channels.items()},
+        "noise_given": {name: dataclasses.asdict(noise) for name, noise in fit.noise.items()},
         "whiteness": {name: {"p": c.whiteness_p, "white": c.white} for name, c in fit.channels.items()},
+        "intervals": _noise_model(fit),
+        "scatter_between_recordings": {name: between._asdict() for name, between in fit.scatter.items()},
+        "log_likelihood": fit.log_likelihood,
+        "starts": _starts(fit),
         "correlations": {"names": list(fit.parameters), "matrix": fit.correlations},
         "identifiability": fit.identifiability,
         "scale": fit.scale,
@@ -130,16 +164,35 @@ def _title(study) -> str:
     return study if isinstance(study, str) else study.title
 
 
-def write_fit(fit: Fit, study, directory) -> list[Path]:
-    """Write a fit as result.json, traces.csv and report.html into a folder.
+def write_fit(
+    fit: Fit,
+    study,
+    directory,
+    *,
+    classes: dict[str, Identifiability] | None = None,
+    posterior: Posterior | None = None,
+) -> list[Path]:
+    """Write a fit as result.json, traces.csv, budget.csv and report.html into a folder.
 
-    Args: fit; study: the `Study` or a title; directory: made if needed.
-    Returns: the files. A failed fit has no traces. Raises: OSError when the folder cannot be written.
+    Args: fit; study: the `Study` or a title; directory: made if needed; classes: of `Fit.assess`, to
+    identifiability.csv; posterior: of `Fit.posterior`, its draws to posterior.csv.
+    Returns: the files. A failed fit has neither traces nor budgets. Raises: OSError when the folder cannot be written.
     """
     folder, title = make_folder(directory), _title(study)
-    files = [write_whole(folder / "result.json", _json(fit_result(fit, title)))]
+    content = fit_result(fit, title)
+    if classes is not None:
+        content["classes"] = {name: {"class": c.kind, "why": c.sentence} for name, c in classes.items()}
+    if posterior is not None:
+        content["posterior"] = posterior_summary(fit, posterior)
+    files = [write_whole(folder / "result.json", _json(content))]
     if fit.channels:
         files.append(write_whole(folder / "traces.csv", _csv(_fit_traces(fit))))
+    if fit.analysis is not None and (budgets := budget_table(fit)):
+        files.append(write_whole(folder / "budget.csv", budgets))
+    if classes is not None:
+        files.append(write_whole(folder / "identifiability.csv", identifiability_table(classes)))
+    if posterior is not None:
+        files.append(write_whole(folder / "posterior.csv", posterior_table(fit, posterior)))
     return [*files, write_whole(folder / "report.html", fit_report(fit, title))]
 
 

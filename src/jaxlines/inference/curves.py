@@ -10,7 +10,7 @@ from jaxlines.inference.analysis import Analysis
 from jaxlines.inference.joint import JointProblem
 from jaxlines.inference.parameters import Free
 from jaxlines.inference.search import Found
-from jaxlines.inference.uncertainty import NORMAL_95, UNINFORMED, Estimate, is_open
+from jaxlines.inference.uncertainty import UNINFORMED, Estimate, is_open
 from jaxlines.physics.lines import Line
 from jaxlines.simulation.circuit import Circuit
 from jaxlines.simulation.result import Simulation
@@ -104,7 +104,7 @@ def derived_estimate(
         note = ", ".join(filter(None, [note, f"in {problem.trials[0].recording.name}"]))
     if left_open:
         return Estimate(value, None, None, unit, "unidentified", note)
-    return Estimate(value, sd, (value - NORMAL_95 * sd, value + NORMAL_95 * sd), unit, "interval", note)
+    return Estimate(value, sd, (value - analysis.reach * sd, value + analysis.reach * sd), unit, "interval", note)
 
 
 def line_curves(
@@ -128,7 +128,7 @@ def line_curves(
                 return getattr(circuit.components[name], method)(circuit.fluid, pressure)
 
             value, sd, _ = _with_sd(problem, found, analysis, function)
-            relative = NORMAL_95 * sd / value  # a band of a positive number is formed in its logarithm
+            relative = analysis.reach * sd / value  # a band of a positive number is formed in its logarithm
             bands += [value, value * np.exp(-relative), value * np.exp(relative)]
         curves[name] = Curve(pressure, *bands)
     return curves

@@ -25,9 +25,10 @@ from jaxlines.inference.noise import Noise
 from jaxlines.inference.parameters import Free, Known
 from jaxlines.inference.recording import Recording
 from jaxlines.inference.recording_faults import find_faults
+from jaxlines.inference.scatter import scatter_of
 from jaxlines.inference.search import Failed, Found, search
 from jaxlines.inference.starts import Start, best_of, start_points
-from jaxlines.inference.uncertainty import p_value_text
+from jaxlines.inference.uncertainty import WHITE_LIMIT, p_value_text
 from jaxlines.simulation.circuit import Circuit
 from jaxlines.simulation.integration import make_method
 from jaxlines.simulation.result import MESSAGES, Simulation
@@ -191,11 +192,13 @@ def _simulations(problem: JointProblem, best: Found) -> list[tuple[FittedRun, Si
 def _warnings(channels: dict[str, ChannelFit], noise: dict[str, Noise], loss: Loss) -> list[str]:
     """What the residuals say against the model or the noise that was given."""
     warnings = []
+    bear = "the intervals bear correlated noise, not a wrong model"
+    bear = bear if loss.kind == "gauss" else "the loss takes them to be, and the intervals are too narrow"
     for name, channel in channels.items():
-        if not channel.white:
+        if channel.whiteness_p <= WHITE_LIMIT:
             warnings.append(
                 f"residuals of {name} are not white (Ljung-Box {p_value_text(channel.whiteness_p)}): the model misses "
-                "something that the recording shows, and the intervals are too narrow"
+                f"something that the recording shows; {bear}"
             )
         of = noise[name.partition(" [")[0]]
         if loss.kind == "gauss" and not of.estimated and not 0.5 < channel.rmse / channel.sigma < 2.0:
@@ -238,7 +241,7 @@ def _result(
     began: float,
 ) -> Fit:
     """Put the result together."""
-    analysis = analyse(problem, best, input_noise)
+    analysis = analyse(problem, best, input_noise, known_levels=not any(of.estimated for of in setup.noise.values()))
     channels = channel_fits(problem, best)
     runs = _simulations(problem, best)
     status, message, seen = _status(problem, best, runs)
@@ -268,6 +271,8 @@ def _result(
         starts=tuple(table),
         noise=noise,
         log_likelihood=problem.log_likelihood(best.simulated),
+        analysis=analysis,
+        scatter=scatter_of(problem, best),
         problem=problem,
         coordinates=best.coordinates,
     )

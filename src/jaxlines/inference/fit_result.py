@@ -1,18 +1,24 @@
 """What a fit returns, and how it reads."""
 
 import dataclasses
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from jaxlines.inference.analysis import ChannelFit
+from jaxlines.inference.analysis import Analysis, ChannelFit
 from jaxlines.inference.curves import Curve
 from jaxlines.inference.joint import JointProblem
 from jaxlines.inference.noise import Noise
+from jaxlines.inference.scatter import Between
 from jaxlines.inference.starts import Start
-from jaxlines.inference.uncertainty import Estimate, p_value_text
+from jaxlines.inference.uncertainty import Estimate, whiteness_text
 from jaxlines.simulation.circuit import Circuit
 from jaxlines.simulation.validity import Validity
+
+if TYPE_CHECKING:
+    from jaxlines.inference.budget import Budget
+    from jaxlines.inference.identifiability import Identifiability
+    from jaxlines.inference.posterior import Posterior
 
 
 class FittedRun(NamedTuple):
@@ -45,6 +51,10 @@ class Fit:
         runs: one a recording, see `FittedRun`; starts: where each search ended, best first.
         noise: channel -> Noise as given or estimated; log_likelihood: at the optimum, without priors.
         problem, coordinates: the least-squares problem and the optimum in its coordinates, for profiles and the like.
+        analysis: covariance in the coordinates, degrees of freedom, and the noise that the residuals show.
+        scatter: parameter -> how much recordings differ in it, with several recordings.
+
+    What costs more simulations is a method: `assess`, `posterior`; `budgets` costs none.
     """
 
     status: str
@@ -69,6 +79,42 @@ class Fit:
     log_likelihood: float | None = None
     problem: JointProblem | None = dataclasses.field(default=None, repr=False)
     coordinates: np.ndarray | None = dataclasses.field(default=None, repr=False)
+    analysis: Analysis | None = dataclasses.field(default=None, repr=False)
+    scatter: dict[str, Between] = dataclasses.field(default_factory=dict)
+
+    @property
+    def intervals(self) -> str:
+        """Which noise the intervals assume, and why, in words."""
+        return self.analysis.noise.sentence if self.analysis is not None else ""
+
+    def budgets(self) -> "dict[str, Budget]":
+        """The uncertainty budget of each parameter that has an interval, in the sense of the GUM. Simulates nothing.
+
+        Raises: ValueError for a failed fit.
+        """
+        from jaxlines.inference.fit_tools import budgets
+
+        return budgets(self)
+
+    def assess(self, seed: int = 0) -> "dict[str, Identifiability]":
+        """Class of each parameter: structurally not, practically not, or identifiable, from its likelihood profile.
+
+        Costs some tens of simulations with slopes a parameter. seed: of the random points of the structural test.
+        Raises: ValueError for a failed fit.
+        """
+        from jaxlines.inference.fit_tools import assessment
+
+        return assessment(self, seed)
+
+    def posterior(self, *, warmup: int = 400, draws: int = 500, chains: int = 4, seed: int = 0) -> "Posterior":
+        """The posterior of the parameters by the no-U-turn sampler, priors of the fit included, noise inferred.
+
+        Raises: ImportError without the extra `posterior`; ValueError for a failed fit, a robust loss, or start values
+        that are steady. See `sample_posterior`.
+        """
+        from jaxlines.inference.fit_tools import posterior
+
+        return posterior(self, warmup=warmup, draws=draws, chains=chains, seed=seed)
 
     @staticmethod
     def failure(circuit: Circuit, message: str, seconds: float) -> "Fit":
@@ -82,10 +128,11 @@ class Fit:
             lines.append(f"  {name:<34} {describe(estimate)}")
         lines.append("")
         for name, channel in self.channels.items():
-            white = "white" if channel.white else "NOT white"
-            p = p_value_text(channel.whiteness_p)
-            lines.append(f"  {name}: rmse {channel.rmse:.4g} {channel.unit}, residuals {white} ({p})")
+            white = whiteness_text(channel.whiteness_p)
+            lines.append(f"  {name}: rmse {channel.rmse:.4g} {channel.unit}, residuals {white}")
         groups = {
+            "intervals": (self.intervals,) if self.intervals else (),
+            "scatter between recordings": tuple(between.sentence(name) for name, between in self.scatter.items()),
             "cannot be told apart": self.identifiability,
             "rests on": self.scale,
             "validity of the lumped model": self.validity.sentences() if self.validity else (),

@@ -1,12 +1,14 @@
 """Which parameters data can tell: structurally not, practically not, or identifiable, and what only together."""
 
 import dataclasses
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxlines.inference.least_squares import LeastSquaresProblem, Solution
 from jaxlines.inference.profiles import Interval, intervals
+from jaxlines.inference.separating import separating_test
 
 SINGULAR = 1e-8
 """Scaled singular values below this part of the largest count as zero: solver and rounding leave about 1e-13."""
@@ -113,26 +115,41 @@ class Identifiability:
 
 
 def assess(
-    problem: LeastSquaresProblem, solution: Solution, *, noise: str = "known", seed: int = 0
+    problem: LeastSquaresProblem,
+    solution: Solution,
+    *,
+    noise: str = "known",
+    seed: int = 0,
+    freedom=None,
+    inflation=None,
+    words: Callable[[str, float], str] | None = None,
 ) -> dict[str, Identifiability]:
-    """Class every parameter after a fit: label -> `Identifiability`. noise: as in `profiles.interval`."""
+    """Class every parameter after a fit: label -> `Identifiability`.
+
+    Args: noise, freedom, inflation: as in `profiles.intervals`; words: (label, coordinate) -> text, such as its value
+    with a unit. A class that is not "identifiable" says what test would tell more.
+    """
+    words = words or (lambda label, x: f"{x:.6g}")
     form = structure(problem, seed=seed)
     sentences = {label: s for group, s in zip(form.groups, form.sentences(), strict=True) for label in group}
+    groups = {label: group for group in form.groups for label in group}
     found = {}
-    for label, own in intervals(problem, solution, noise=noise).items():
+    for label, own in intervals(problem, solution, noise=noise, freedom=freedom, inflation=inflation).items():
         low, high = own.ends
         if form.open[label]:
-            found[label] = Identifiability(label, STRUCTURALLY, own, sentences[label])
+            word = f"{sentences[label]}; {separating_test(groups[label])}"
+            found[label] = Identifiability(label, STRUCTURALLY, own, word)
         elif own.kind == "failed":
             reason = own.low.message if own.low.status == "failed" else own.high.message
             found[label] = Identifiability(label, IDENTIFIABLE, None, f"its interval was not found: {reason}")
         elif own.kind == "open":
-            word = "any value within its bounds fits within the noise"
+            word = f"any value within its bounds fits within the noise; {separating_test((label,))}"
             found[label] = Identifiability(label, PRACTICALLY, own, word)
         elif own.kind == "two_sided":
-            word = f"95 % within {low:.6g} .. {high:.6g}"
+            word = f"95 % within {words(label, low)} .. {words(label, high)}"
             found[label] = Identifiability(label, IDENTIFIABLE, own, word)
         else:
-            limit = f"at most {high:.6g}" if own.kind == "upper_limit" else f"at least {low:.6g}"
+            upper = own.kind == "upper_limit"
+            limit = f"at most {words(label, high)}" if upper else f"at least {words(label, low)}"
             found[label] = Identifiability(label, IDENTIFIABLE, own, f"a limit only: {limit}; its bound is the other")
     return found

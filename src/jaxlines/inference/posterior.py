@@ -87,6 +87,12 @@ def _blackjax() -> Any:
     return blackjax
 
 
+def check_installed() -> None:
+    """Raise ImportError, with what to install, before any work is done."""
+    _arviz()
+    _blackjax()
+
+
 def whitening(curvature) -> np.ndarray:
     """A matrix L with L L' close to the inverse of a curvature, open directions cut to a standard deviation of 2."""
     values, vectors = np.linalg.eigh(0.5 * (curvature + curvature.T))

@@ -5,30 +5,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from jaxlines.inference.curvature import column_scale
+from jaxlines.inference.end_points import EndPoint as EndPoint, end_point as end_point
 from jaxlines.inference.least_squares import LeastSquaresProblem, Solution, solve
-
-ITERATIONS = 100
-UNSEEN = 1e-10
-"""Singular values of the scaled Jacobian below this part of the largest count as none."""
-
-SETTLED, AT_LIMIT, PARALLEL = 1e-5, 1e-3, 2e-2
-"""When a search for an end point stops; how close to the limit its cost, and to parallel the slopes, must be."""
-
-
-@dataclasses.dataclass(frozen=True)
-class EndPoint:
-    """One end of an interval.
-
-    Fields: value of the quantity; x where it is reached; status: "found" (the cost is at its limit), "open" (the
-    quantity goes as far as the bounds let it and the cost stays below the limit), "failed"; message; cost there.
-    """
-
-    value: float
-    x: np.ndarray
-    status: str
-    message: str
-    cost: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,157 +42,35 @@ class Interval:
         return f"{self.name}: {self.value:.6g}, {100 * self.level:g} % {low:.6g} .. {high:.6g} ({self.kind})"
 
 
-def cost_limit(solution: Solution, noise: str = "known", level: float = 0.95, freedom: int | None = None) -> float:
+def cost_limit(
+    solution: Solution,
+    noise: str = "known",
+    level: float = 0.95,
+    freedom: float | None = None,
+    inflation: float = 1.0,
+) -> float:
     """The cost up to which a point is inside the interval.
 
     Known noise: cost_min + q/2, q the `level` point of chi-squared with one degree of freedom (3.84). Estimated noise:
-    cost_min (1 + F/(n - p)), F the point of F(1, n - p), which is exact for a linear model (Bates and Watts,
-    "Nonlinear Regression Analysis", 1988, section 6.1). freedom: n - p, counted from the rows by default.
+    cost_min + s^2 F/2, s^2 = 2 cost_min/(n - p), F the point of F(1, n - p), which is exact for a linear model (Bates
+    and Watts, "Nonlinear Regression Analysis", 1988, section 6.1).
+
+    Args: freedom: degrees of freedom of the variance, where they are not n - p (infinite for known noise); inflation:
+    variance of the parameter over that under white noise, where residuals are correlated (Pace, Salvan and Sartori,
+    "Adjusting composite likelihood ratio statistics", Statistica Sinica 21, 2011).
     """
     from scipy.special import chdtri, fdtri
 
     if not 0.0 < level < 1.0:
         raise ValueError(f"level must lie between 0 and 1, got {level:g}: per cent?")
-    if noise == "known":
-        return solution.cost + 0.5 * float(chdtri(1, 1.0 - level))
-    if noise != "estimated":
+    if noise not in ("known", "estimated"):
         raise ValueError(f'noise must be "known" or "estimated", got {noise!r}')
-    freedom = max(solution.residuals.size - solution.x.size, 1) if freedom is None else freedom
-    return solution.cost * (1.0 + float(fdtri(1, freedom, level)) / freedom)
-
-
-def _farthest(jacobian, residuals, gradient, limit, low, high) -> tuple[np.ndarray, float]:
-    """The step d that makes gradient'd largest while |r + J d|^2/2 <= limit and low <= d <= high, and its multiplier.
-
-    Without bounds d = -J^+ r + rho H^-1 g / sqrt(g' H^-1 g), H = J'J, rho^2/2 the cost that is left. An active-set
-    method: walk to that point, hold the coordinate whose bound is met first, and let go the one whose multiplier has
-    the wrong sign (Nocedal and Wright, "Numerical Optimization", 2006, section 16.5).
-    """
-    count = gradient.size
-    held, step, force = np.zeros(count, dtype=bool), np.zeros(count), 0.0
-    for _ in range(4 * count + 4):
-        target, force = _free_step(jacobian, residuals, gradient, limit, step, held)
-        way = target - step
-        bound = np.where(way > 0, high, low)
-        share = np.where(held | (way == 0.0), np.inf, (bound - step) / np.where(way == 0.0, 1.0, way))
-        first = int(np.argmin(share))
-        if share[first] < 1.0:
-            step = step + max(share[first], 0.0) * way
-            step[first], held[first] = bound[first], True
-            continue
-        step = target
-        pull = gradient - force * (jacobian.T @ (residuals + jacobian @ step))  # where the objective wants to go
-        wrong = held & (((step <= low) & (pull > 0)) | ((step >= high) & (pull < 0)))
-        if not wrong.any():
-            break
-        held[np.argmax(np.where(wrong, np.abs(pull), -np.inf))] = False
-    return np.clip(step, low, high), force
-
-
-def _free_step(jacobian, residuals, gradient, limit, step, held) -> tuple[np.ndarray, float]:
-    """`_farthest` without bounds for the coordinates that are not held, and 1/length of the multiplier."""
-    rows = residuals + jacobian[:, held] @ step[held]
-    free = ~held
-    new = step.copy()
-    if not free.any():
-        return new, 0.0
-    left, singular, right = np.linalg.svd(jacobian[:, free], full_matrices=False)
-    # A direction that the rows do not see is left alone, unless the quantity grows along it: then it is followed by a
-    # long step, which ends at the bounds.
-    seen = singular > UNSEEN * max(singular[0], 1e-300)
-    strong = np.where(seen, singular, UNSEEN * max(singular[0], 1e-300))
-    centre = -(right[seen].T / singular[seen]) @ (left[:, seen].T @ rows)
-    spare = 2.0 * (limit - 0.5 * float(np.sum((rows + jacobian[:, free] @ centre) ** 2)))
-    growth = right @ gradient[free]
-    growth = np.where(seen | (np.abs(growth) > 1e-6 * np.linalg.norm(gradient)), growth, 0.0)
-    along = growth / strong
-    length = float(np.linalg.norm(along))
-    radius = np.sqrt(max(spare, 0.0))
-    outwards = right.T @ (along / strong) / max(length, 1e-300)
-    new[free] = centre + radius * outwards
-    return new, length / max(radius, 1e-300)
-
-
-def end_point(
-    problem: LeastSquaresProblem,
-    solution: Solution,
-    quantity: Callable[[np.ndarray], tuple[float, np.ndarray]],
-    sign: float,
-    limit: float,
-) -> EndPoint:
-    """How far a quantity goes in one direction while the cost stays within its limit and x within its bounds.
-
-    A sequence of linear steps, each the exact answer for the linearised rows and quantity; a step is shortened that
-    neither lowers the merit, -sign * quantity + penalty * excess cost, nor halves the excess. On a linear model the
-    first step is exact.
-
-    Args: quantity: x -> (value, slopes by x); sign: +1 for the upper end, -1 for the lower.
-    Reference: compare Venzon and Moolgavkar, Applied Statistics 37, 1988; Neale and Miller, Behavior Genetics 27, 1997.
-    """
-    x, rows, slopes = solution.x.copy(), solution.residuals, solution.jacobian
-    scale = column_scale(slopes, problem.lower, problem.upper)
-    value, gradient = quantity(x)
-    first, span, penalty, word = value, limit - solution.cost, 0.0, "too many steps"
-    for _ in range(ITERATIONS):
-        low, high = (problem.lower - x) / scale, (problem.upper - x) / scale
-        step, force = _farthest(slopes * scale, rows, sign * gradient * scale, limit, low, high)
-        step = step * scale
-        predicted = abs(float(gradient @ step))
-        penalty = max(0.5 * penalty, 2.0 * force)
-        terms = (sign, penalty, limit)
-        trial = _shortened(problem, quantity, x, step, (sign * value, 0.5 * float(rows @ rows)), terms)
-        if trial is None:
-            word = "no shorter step is better"
-            break
-        x, rows, value, gradient = trial
-        slopes = problem.jacobian(x)
-        if not np.all(np.isfinite(slopes)):
-            return EndPoint(np.nan, x, "failed", "the derivatives are not finite on the way", np.nan)
-        if predicted <= SETTLED * abs(value - first) and 0.5 * float(rows @ rows) - limit <= SETTLED * span:
-            break
-    return _checked(problem, (x, rows, slopes), (sign, value, gradient), scale, limit, span, word)
-
-
-def _shortened(problem, quantity, x, step, here, terms):
-    """The first of ever shorter steps that lowers the merit: x, rows, value, gradient; None when none does."""
-    sign, penalty, limit = terms
-
-    def merit(value, cost):
-        return -value + penalty * max(cost - limit, 0.0)
-
-    before = merit(*here)
-    for shorter in range(25):
-        trial = np.clip(x + step * 0.5**shorter, problem.lower, problem.upper)
-        rows = problem.residuals(trial)
-        cost = 0.5 * float(rows @ rows)
-        value, gradient = quantity(trial)
-        if not (np.isfinite(cost) and np.isfinite(value)):
-            continue
-        back = cost - limit < 0.5 * (here[1] - limit) > 0.0  # coming back under the limit counts whatever it costs
-        if back or merit(sign * value, cost) < before:
-            return trial, rows, value, gradient
-    return None
-
-
-def _checked(problem, point, quantity, scale, limit, span, word) -> EndPoint:
-    """Judge an end from its own slopes: the gradients of quantity and cost must be parallel, or bounds must hold it."""
-    (x, rows, slopes), (sign, value, gradient) = point, quantity
-    cost = 0.5 * float(rows @ rows)
-    uphill, wanted = (slopes.T @ rows) * scale, sign * gradient * scale
-    width = problem.upper - problem.lower
-    near = 1e-9 * np.where(np.isfinite(width), width, 0.0)
-    on_low, on_high = x <= problem.lower + near, x >= problem.upper - near
-    inner = ~(on_low | on_high)
-    at_limit = abs(cost - limit) <= AT_LIMIT * span
-    force = float(uphill[inner] @ wanted[inner]) / max(float(uphill[inner] @ uphill[inner]), 1e-300)
-    pull = wanted - (max(force, 0.0) if at_limit else 0.0) * uphill
-    pushes = np.where(on_low, np.maximum(pull, 0.0), np.where(on_high, np.minimum(pull, 0.0), pull))
-    rest = float(np.linalg.norm(pushes)) / max(float(np.linalg.norm(wanted)), 1e-300)
-    if cost > limit + AT_LIMIT * span or rest > PARALLEL:
-        return EndPoint(float(value), x, "failed", f"no end point ({rest:.1e} of the slope is left): {word}", cost)
-    if at_limit:
-        return EndPoint(float(value), x, "found", "the cost is at its limit", cost)
-    return EndPoint(float(value), x, "open", "the bounds end it while the cost is below its limit", cost)
+    spare = max(solution.residuals.size - solution.x.size, 1)
+    if freedom is None:
+        freedom = np.inf if noise == "known" else spare
+    variance = 1.0 if noise == "known" else 2.0 * solution.cost / spare
+    point = float(fdtri(1, freedom, level) if np.isfinite(freedom) else chdtri(1, 1.0 - level))
+    return solution.cost + 0.5 * inflation * variance * point
 
 
 def parameter(index: int, count: int) -> Callable[[np.ndarray], tuple[float, np.ndarray]]:
@@ -246,10 +102,13 @@ def interval(
     noise: str = "known",
     level: float = 0.95,
     name: str = "",
+    freedom: float | None = None,
+    inflation: float = 1.0,
 ) -> Interval:
     """The likelihood interval of a parameter (label or index) or of a prediction (see `differentiable`).
 
-    Args: noise: "known" (rows are divided by their noise) or "estimated" (by something proportional to it).
+    Args: noise: "known" (rows are divided by their noise) or "estimated" (by something proportional to it); freedom,
+    inflation: as in `cost_limit`.
     Returns: an `Interval` in coordinates for a parameter; its ends say when a bound stopped them.
     """
     count = len(problem.labels)
@@ -260,14 +119,28 @@ def interval(
     if isinstance(quantity, int):
         name = name or problem.labels[quantity]
         quantity = parameter(quantity, count)
-    limit = cost_limit(solution, noise, level)
+    limit = cost_limit(solution, noise, level, freedom, inflation)
     low, high = (end_point(problem, solution, quantity, sign, limit) for sign in (-1.0, 1.0))
     return Interval(name or "prediction", float(quantity(solution.x)[0]), low, high, level)
 
 
-def intervals(problem: LeastSquaresProblem, solution: Solution, *, noise: str = "known", level: float = 0.95):
-    """The likelihood intervals of all parameters: label -> `Interval`."""
-    return {label: interval(problem, solution, label, noise=noise, level=level) for label in problem.labels}
+def intervals(
+    problem: LeastSquaresProblem,
+    solution: Solution,
+    *,
+    noise: str = "known",
+    level: float = 0.95,
+    freedom=None,
+    inflation=None,
+) -> dict[str, Interval]:
+    """The likelihood intervals of all parameters: label -> `Interval`; freedom, inflation: one a parameter, if any."""
+    count = len(problem.labels)
+    freedom = [None] * count if freedom is None else np.broadcast_to(freedom, count)
+    inflation = np.ones(count) if inflation is None else np.broadcast_to(inflation, count)
+    return {
+        label: interval(problem, solution, label, noise=noise, level=level, freedom=f, inflation=float(k))
+        for label, f, k in zip(problem.labels, freedom, inflation, strict=True)
+    }
 
 
 @dataclasses.dataclass(frozen=True)

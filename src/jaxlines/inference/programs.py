@@ -14,7 +14,7 @@ from jaxlines.simulation.integration import Method, integrate, integrate_with_se
 from jaxlines.simulation.paths import leaf_paths
 from jaxlines.simulation.plan import Initial, Plan, Values, unravel
 from jaxlines.simulation.signals import Constant
-from jaxlines.simulation.steady import _solve as solve_balance
+from jaxlines.simulation.steady import solve_balance
 
 
 class Place(NamedTuple):

@@ -14,6 +14,7 @@ from jaxlines.inference.generalised import Whitened, solve_with_autoregression
 from jaxlines.inference.least_squares import LeastSquaresProblem, Solution
 from jaxlines.inference.scatter import Scatter as Scatter, between_recordings as between_recordings
 from jaxlines.inference.stated_noise import MANY_RECORDINGS as MANY_RECORDINGS, state_noise
+from jaxlines.inference.uncertainty import student_factor as student_factor
 
 
 def sandwich_covariance(residuals, jacobian, clusters) -> np.ndarray:
@@ -65,15 +66,6 @@ class NoiseStatement:
     def factor(self) -> np.ndarray:
         """95 % intervals are x +- factor * sd: Student's t, shape (parameters,)."""
         return student_factor(self.freedom)
-
-
-def student_factor(freedom, probability: float = 0.975) -> np.ndarray:
-    """Quantile of Student's t; that of the normal distribution where the degrees of freedom are infinite."""
-    from scipy.special import ndtri, stdtrit
-
-    freedom = np.asarray(freedom, dtype=float)
-    finite = np.isfinite(freedom)
-    return np.where(finite, stdtrit(np.where(finite, freedom, 1.0), probability), ndtri(probability))
 
 
 def generalised_freedom(whitened: Whitened, jacobian) -> np.ndarray:

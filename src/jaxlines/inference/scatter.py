@@ -4,8 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxlines.inference.analysis import unit_of
 from jaxlines.inference.curvature import gauss_newton_covariance, noise_variance
+from jaxlines.inference.joint import JointProblem
 from jaxlines.inference.least_squares import LeastSquaresProblem, Solution
+from jaxlines.inference.search import Found
+from jaxlines.inference.uncertainty import p_value_text
 
 
 class Scatter(NamedTuple):
@@ -54,3 +58,35 @@ def between_recordings(problem: LeastSquaresProblem, solution: Solution, varianc
     between = np.sqrt(np.maximum(q - freedom, 0.0) / np.where(spare > 0, spare, np.inf))
     p = np.array([chdtrc(f, value) if f > 0 else np.nan for f, value in zip(freedom, q, strict=True)])
     return Scatter(estimates, sd, np.where(freedom > 0, between, np.nan), p)
+
+
+class Between(NamedTuple):
+    """Scatter of one parameter between recordings: its standard deviation beyond their noise, in `unit`; p-value that
+    there is none; number of recordings that tell of it."""
+
+    sd: float
+    p: float
+    unit: str
+    recordings: int
+
+    def sentence(self, name: str) -> str:
+        """In words."""
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        size = f"differs by {self.sd:.2g}{unit} (sd) beyond its noise" if self.p <= 0.05 else "does not differ"
+        return f"{name} {size} between {self.recordings} recordings ({p_value_text(self.p)})"
+
+
+def scatter_of(problem: JointProblem, found: Found) -> dict[str, Between]:
+    """The scatter of every parameter that two or more recordings tell of, at the end of a search; SI."""
+    if len(problem.trials) < 2:
+        return {}
+    rows = problem.rows(found.values, found.simulated)
+    slopes = problem.row_slopes(found.coordinates, found.simulated, found.slopes)
+    end = Solution(found.coordinates, found.cost, found.status, "", rows, slopes, found.coordinates, 0)
+    told, steps = between_recordings(problem, end, variance=1.0), problem.steps(found.coordinates)
+    counts = np.isfinite(told.estimates).sum(axis=0)
+    return {
+        label: Between(float(told.between[i] * steps[i]), float(told.p[i]), unit_of(problem, i), int(counts[i]))
+        for i, label in enumerate(problem.labels)
+        if counts[i] > 1
+    }

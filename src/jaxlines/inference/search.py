@@ -182,22 +182,30 @@ def search(
 ) -> Found:
     """One trust-region search from a start (search coordinates), at the noise levels of the problem.
 
+    SciPy sees z = (x - lower)/(upper - lower): it takes a start within 1e-10 of a bound, in whatever unit, for one on
+    it and moves it, which would be fatal to a conductance of 1e-12 m^3/(s Pa).
+
     stage, memory: under which name evaluations are remembered, and where. Raises: Failed when the start cannot be
     simulated.
     """
     from scipy.optimize import least_squares
 
     evaluator = Evaluator(problem, stage, memory or Memory(), report)
-    margin = 1e-9 * (problem.upper - problem.lower)
-    start = np.clip(start, problem.lower + margin, problem.upper - margin)
+    widths = evaluator.widths
+
+    def of(z) -> np.ndarray:
+        return np.clip(problem.lower + widths * z, problem.lower, problem.upper)
+
+    first = np.clip((start - problem.lower) / widths, 1e-9, 1.0 - 1e-9)
+    start = of(first)
     if not np.all(np.isfinite(evaluator.residuals(start))):
         reason = problem.why_it_fails(problem.to_values(start))
         raise Failed(f"the simulation fails at the start of the search: {reason}")
     found = least_squares(
-        evaluator.residuals,
-        start,
-        jac=evaluator.jacobian,  # pyright: ignore[reportArgumentType]
-        bounds=(problem.lower, problem.upper),
+        lambda z: evaluator.residuals(of(z)),
+        first,
+        jac=lambda z: evaluator.jacobian(of(z)) * widths,  # pyright: ignore[reportArgumentType]
+        bounds=(0.0, 1.0),
         x_scale="jac",
         ftol=1e-12,
         xtol=1e-9,
@@ -205,7 +213,7 @@ def search(
         max_nfev=max_evaluations,
         callback=evaluator.stop_when_settled,
     )
-    return _ended(problem, evaluator, found.x, found.message)
+    return _ended(problem, evaluator, of(found.x), found.message)
 
 
 def _ended(problem: JointProblem, evaluator: Evaluator, x: np.ndarray, message: str) -> Found:

@@ -75,8 +75,8 @@ class StatedNoise:
         total = 0.0
         for piece in series_of(self.problem):
             model = self.models[int(self.problem.channel[piece[0]])]
-            white, roots = whiten(self.rows[piece], model), whiten(np.eye(piece.size)[:, : model.order], model)
-            first = np.diag(roots[: model.order])  # whitening is triangular: ln of its determinant
+            white, roots = whiten(self.rows[piece], model), whiten(np.eye(piece.size, model.order), model)
+            first = np.diag(roots)  # whitening is triangular: ln of its determinant
             scale = float(np.sum(np.log(first))) - (piece.size - first.size) * np.log(model.sd)
             total += scale - 0.5 * float(white @ white) - 0.5 * piece.size * np.log(2.0 * np.pi)
         return total
@@ -90,7 +90,7 @@ class StatedNoise:
         """G V G' with V of autoregressive noise."""
         found = self._priors(gain)
         for piece in series_of(self.problem):
-            carried = carry(gain[:, piece].T, models[self.problem.channel[piece[0]]])
+            carried = carry(gain[:, piece].T, models[int(self.problem.channel[piece[0]])])
             found = found + carried.T @ carried
         return found
 
@@ -178,5 +178,5 @@ def _whitened(problem: LeastSquaresProblem, residuals, models) -> np.ndarray:
     """Residuals with the correlation of the models taken out."""
     white = np.array(residuals, dtype=float)
     for piece in series_of(problem):
-        white[piece] = whiten(residuals[piece], models[problem.channel[piece[0]]])
+        white[piece] = whiten(residuals[piece], models[int(problem.channel[piece[0]])])
     return white

@@ -47,7 +47,7 @@ class Covariance:
     Fields: joint, shape (free + known, free + known); free_part: its upper left block from the data alone;
     open_share: for each free parameter the share of its variance that comes from directions the data leave
     open; open_directions: those directions in coordinates, shape (directions, free); singular_values of the
-    Jacobian scaled by the widths of the bounds, largest first.
+    Jacobian scaled by the widths of the bounds, largest first; gain: minus d estimates / d rows, shape (free, rows).
     """
 
     joint: np.ndarray
@@ -55,6 +55,14 @@ class Covariance:
     open_share: np.ndarray
     open_directions: np.ndarray
     singular_values: np.ndarray
+    gain: np.ndarray
+
+    def under(self, spread: np.ndarray) -> "Covariance":
+        """The same where rows are not white: spread, the covariance of gain @ rows, shape (free, free)."""
+        change, count = spread - self.gain @ self.gain.T, spread.shape[0]
+        joint = self.joint.copy()
+        joint[:count, :count] += change
+        return dataclasses.replace(self, joint=joint, free_part=self.free_part + change)
 
 
 def covariance(jacobian, known_jacobian, widths, known_sd) -> Covariance:
@@ -74,10 +82,11 @@ def covariance(jacobian, known_jacobian, widths, known_sd) -> Covariance:
     parts = directions**2 * variances[:, None]
     free_part = (directions.T * variances) @ directions
     open_share = parts[~known].sum(axis=0) / parts.sum(axis=0)
-    gain = -(directions[known].T / singular[known]) @ (left[:, known].T @ known_jacobian)
+    told = (directions[known].T / singular[known]) @ left[:, known].T
+    gain = -told @ known_jacobian
     spread = np.diag(np.asarray(known_sd, dtype=float) ** 2)
     joint = np.block([[free_part + gain @ spread @ gain.T, gain @ spread], [spread @ gain.T, spread]])
-    return Covariance(joint, free_part, open_share, directions[~known], singular)
+    return Covariance(joint, free_part, open_share, directions[~known], singular, told)
 
 
 def is_open(open_share, sd, bounds_sd) -> bool:
@@ -85,26 +94,44 @@ def is_open(open_share, sd, bounds_sd) -> bool:
     return bool(open_share > OPEN_SHARE and sd > OPEN_REMAINDER * bounds_sd)
 
 
-def make_estimate(parameter: Free, value: float, sd: float, unit: str, kind: str) -> Estimate:
+def student_factor(freedom, probability: float = 0.975) -> np.ndarray:
+    """Quantile of Student's t; that of the normal distribution where the degrees of freedom are infinite."""
+    from scipy.special import ndtri, stdtrit
+
+    freedom = np.asarray(freedom, dtype=float)
+    finite = np.isfinite(freedom)
+    return np.where(finite, stdtrit(np.where(finite, freedom, 1.0), probability), ndtri(probability))
+
+
+def make_estimate(parameter: Free, value: float, sd: float, unit: str, kind: str, freedom: float = np.inf) -> Estimate:
     """The estimate of a free parameter.
 
-    sd: standard deviation of its coordinate, or of its value when the kind is "upper_limit".
+    sd: standard deviation of its coordinate, or of its value when the kind is "upper_limit"; freedom: its degrees of
+    freedom, for Student's t.
     """
     if kind == "upper_limit":
-        limit = value + NORMAL_ONE_SIDED_95 * sd
+        limit = value + float(student_factor(freedom, 0.95)) * sd
         return Estimate(value, sd, (0.0, limit), unit, kind, "not detected: 95 % upper limit")
     if kind == "unidentified":
         return Estimate(value, None, None, unit, kind, "the recording leaves it open within its bounds")
     coordinate = parameter.to_coordinate(value)
-    low, high = (float(parameter.to_value(coordinate + z * NORMAL_95 * sd)) for z in (-1, 1))
+    reach = float(student_factor(freedom)) * sd
+    low, high = (float(parameter.to_value(coordinate + sign * reach)) for sign in (-1, 1))
     return Estimate(value, float(parameter.slope(value)) * sd, (low, high), unit, kind)
 
 
 def p_value_text(p: float) -> str:
     """A p-value as it is read: "p = 0.098", "p < 1e-99"."""
     if math.isnan(p):
-        return "too few samples to test"
+        return "not tested: too few samples"
     return f"p = {p:.2g}" if p > 1e-99 else "p < 1e-99"
+
+
+def whiteness_text(p: float) -> str:
+    """The verdict of a whiteness test: "white (p = 0.31)", "NOT white (p = 0.0001)", "white or not: too few ..."."""
+    if math.isnan(p):
+        return "too few to tell whether white"
+    return f"{'white' if p > WHITE_LIMIT else 'NOT white'} ({p_value_text(p)})"
 
 
 def ljung_box(residuals, used, lags: int = 20) -> float:

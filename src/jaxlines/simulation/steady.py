@@ -87,7 +87,7 @@ def steady_state(
         plan, values = compile_circuit(circuit, initial, held)
         values = cast(values, precision)
         told = tuple(f"{n}.{DOMAINS[d].potential}" in (initial or {}) for n, d in plan.free_nodes)
-        y, linear = _solve(plan, told, values)
+        y, linear = solve_balance(plan, told, values)
         worst = jnp.max(imbalance(linear), initial=0.0)
         if traced:
             return SteadyState(_named(plan, jnp.where(worst <= 1.0, y, jnp.nan)), circuit, held, worst)
@@ -121,7 +121,7 @@ def at_instant(circuit: Circuit, inputs: dict | None, time, initial: dict | None
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1))
-def _solve(plan: Plan, told: tuple[bool, ...], values: Values):
+def solve_balance(plan: Plan, told: tuple[bool, ...], values: Values):
     """The state in balance, from where the circuit starts, or from pressures between those of the sources."""
     first = starting_point(plan, values, 0.0)
     y, second = ravel(plan, *first), first
