@@ -160,7 +160,7 @@ def judge(found: dict, seconds: float, known: bool) -> list[str]:
         missed += [f"the report of the {name} is larger than 5 MB"] * (report["bytes"] > 5e6)
         if report["opened"]:
             missed += [f"the report of the {name} shows no plot"] * (report["plots"] == 0)
-            missed += [f"the report of the {name}: {report['errors'][0]}"] * bool(report["errors"])
+            missed += [f"the report of the {name}: {error}" for error in report["errors"][:1]]
     missed += [f"it took {seconds:.0f} s"] * (seconds > LIMIT)
     if known:
         modulus = found["parameters"]["line.effective_bulk_modulus"]
