@@ -101,13 +101,18 @@ def _line(axes, line, screen: Screen) -> None:
         drawn = screen.plot.line(x, y, **style)
         screen.colour(drawn.glyph, line.get_color(), "line_color")
         screen.add(line, drawn, "vline")
+        if line.get_marker() not in ("None", "", " ", None):
+            _points(line, x, y, float(line.get_markersize()), line.get_markerfacecolor(), screen, hover="")
 
 
-def _points(artist, x, y, size: float, colour, screen: Screen) -> None:
+def _points(artist, x, y, size: float, colour, screen: Screen, hover: str = "mouse") -> None:
     """Points; `size` of a marker [point]."""
-    drawn = screen.plot.scatter(x, y, size=max(3.0, size * 0.7), fill_alpha=_alpha(artist), line_color=None)
+    point = getattr(artist, "get_marker", lambda: "o")() == "."  # half as large as others of its size
+    drawn = screen.plot.scatter(
+        x, y, size=max(3.0, size * (0.65 if point else 1.3)), fill_alpha=_alpha(artist), line_color=None
+    )
     screen.colour(drawn.glyph, colour, "fill_color")
-    screen.add(artist, drawn, "mouse")
+    screen.add(artist, drawn, hover)
 
 
 def _areas(areas, screen: Screen) -> None:
