@@ -1,5 +1,6 @@
 """The report and its pictures: complete, self-contained, small, and faithful to the numbers."""
 
+import dataclasses
 import re
 import xml.etree.ElementTree as ElementTree
 
@@ -15,9 +16,13 @@ from jaxlines.edge.plots import decimate, plot_bulk_modulus, plot_channel, plot_
 from jaxlines.edge.report import fit_report
 from jaxlines.edge.report_glyphs import INK
 from jaxlines.edge.report_page import inline_svg
+from jaxlines.inference import fit_tools
 from jaxlines.inference.analysis import ChannelFit
 from jaxlines.inference.curves import Curve
 from jaxlines.inference.fit_result import Fit
+from jaxlines.inference.identifiability import Identifiability
+from jaxlines.inference.posterior import Posterior
+from jaxlines.inference.scatter import Between
 from jaxlines.inference.starts import Start
 from jaxlines.inference.uncertainty import Estimate
 from tests.edge.pages import Page
@@ -144,6 +149,27 @@ def test_colours_have_contrast(html, scheme):
         assert contrast(colours[name], colours["page"]) > 4.5, name
     for name in ("blue", "grey"):
         assert contrast(colours[name], colours["card"]) > 3.0, name
+
+
+def test_classes_posterior_and_scatter_are_shown_where_there_are_some(monkeypatch):
+    pytest.importorskip("arviz")
+    draws = np.random.default_rng(0).normal([1.4e9, 1e-13, 0.01], [1e6, 1e-14, 1e-3], (2, 200, 3))
+    flat = np.zeros((2, 200))
+    names = ("fluid.bulk_modulus", "leak.conductance", "fluid.air_fraction")
+    posterior = Posterior(names, draws, draws[..., :0], flat, flat > 0, np.full(3, 1.002), np.full(3, 300.0))
+    monkeypatch.setattr(fit_tools, "values_of", lambda fit, drawn: drawn.draws)
+    classes = {"fluid.air_fraction": Identifiability("fluid.air_fraction", "identifiable", None, "both ends <found>")}
+    fit = dataclasses.replace(made_fit(), scatter={"leak.conductance": Between(1e-13, 0.01, "m^3/(s*Pa)", 3)})
+    html = fit_report(fit, "more", classes=classes, posterior=posterior)
+    page = Page(html)
+    for words in (
+        "Which numbers the data can tell", "both ends <found>", "400 draws by the no-U-turn sampler, 0 of them",
+        "few effective draws (300, 400 wanted)", "1.4 GPa", "1.002", "between 3 recordings (p = 0.01)",
+    ):  # fmt: skip
+        assert words in page.text, words
+    assert "draws of the posterior in pairs" in html
+    assert page.open == []
+    assert len(html.encode()) < 2_500_000
 
 
 def test_long_recordings_stay_small_and_say_what_is_drawn():

@@ -233,7 +233,7 @@ def plot_posterior(posterior: Posterior, to_values=None, axes=None):
     import arviz  # to_arviz has seen to it that it is there
 
     names, divergent = list(posterior.labels), bool(posterior.divergences)
-    style = {"color": SIMULATED, "s": 3, "alpha": 0.4}
+    style = {"color": SIMULATED, "s": 3, "alpha": 0.4, "rasterized": True}
     with warnings.catch_warnings():  # ArviZ calls what Matplotlib is about to drop
         warnings.simplefilter("ignore")
         arviz.plot_pair(

@@ -1,32 +1,37 @@
 """The report of a fit: one page of HTML that needs nothing else, in light and dark."""
 
+import dataclasses
+
 import numpy as np
 
-from jaxlines.edge.display import estimate_row, readable_text, readable_unit
+from jaxlines.edge.display import estimate_row, readable, readable_text, readable_unit
 from jaxlines.edge.drawing import circuit_svg
 from jaxlines.edge.plots import (
     plot_bulk_modulus,
     plot_channel,
     plot_directions,
+    plot_posterior,
     plot_residuals,
     plot_starts,
     plot_wave_speed,
 )
-from jaxlines.edge.report_page import PRINT_POINTS, SCREEN_POINTS, Picture, picture, render
+from jaxlines.edge.report_page import PRINT_POINTS, SCREEN_POINTS, Picture, inline_svg, picture, render
 from jaxlines.inference.analysis import ChannelFit
 from jaxlines.inference.curves import Curve
 from jaxlines.inference.fit_result import Fit
+from jaxlines.inference.identifiability import Identifiability
+from jaxlines.inference.posterior import Posterior
 from jaxlines.inference.uncertainty import p_value_text
 
-_MOST_PRINTED, _MOST_SHOWN, _MOST_DIRECTIONS = 4_000, 15_000, 10
+_MOST_PRINTED, _MOST_SHOWN, _MOST_DIRECTIONS, _MOST_PAIRS = 4_000, 15_000, 10, 6
 _STATUS = {"converged": "good", "failed": "bad"}
 
 
 def _channel_figure(name: str, channel: ChannelFit, points: tuple[int, int]) -> dict:
     """Data and fit over time above, residuals below."""
     unit, factor = readable_unit(channel.unit, channel.rmse)
-    white = "look random" if channel.white else "do not look random"
-    summary = f"rmse {channel.rmse * factor:.3g} {unit}, noise {channel.sigma * factor:.3g} {unit}, residuals {white}"
+    noise = f"rmse {channel.rmse * factor:.3g} {unit}, noise {channel.sigma * factor:.3g} {unit}"
+    summary = f"{noise}, residuals {_randomness(channel)}"
 
     def draw(axes, limit):
         plot_channel(channel, name, axes[0], limit).set_xlabel("")
@@ -35,7 +40,15 @@ def _channel_figure(name: str, channel: ChannelFit, points: tuple[int, int]) -> 
     alt = f"{name} over time, measured and simulated, and the residuals below; {summary}"
     size, samples = (8.2, 5.0), channel.times.size
     shown = picture(draw, alt, size=size, panels=(2.2, 1), points=points, samples=samples)
-    return {"name": name, "summary": summary, "p": p_value_text(channel.whiteness_p), "picture": shown}
+    return {"name": name, "summary": summary, "picture": shown}
+
+
+def _randomness(channel: ChannelFit) -> str:
+    """Whether residuals are white, in words."""
+    if np.isnan(channel.whiteness_p):
+        return "are too few to tell whether they are random"
+    look = "look random" if channel.white else "do not look random"
+    return f"{look} (Ljung-Box {p_value_text(channel.whiteness_p)})"
 
 
 def _curve_figure(name: str, curve: Curve) -> dict:
@@ -85,8 +98,39 @@ def _correlations(fit: Fit) -> list[dict]:
     ]  # fmt: skip
 
 
-def fit_report(fit: Fit, title: str) -> str:
-    """The report of a fit as one page of HTML without any link to the outside."""
+def _posterior(fit: Fit, drawn: Posterior | None) -> dict | None:
+    """Medians and intervals of a posterior, and its draws in pairs."""
+    if drawn is None:
+        return None
+    from matplotlib.figure import Figure
+
+    from jaxlines.edge.fit_files import posterior_summary
+    from jaxlines.inference.fit_tools import values_of
+
+    summary, rows = posterior_summary(fit, drawn), []
+    for name, own in summary["parameters"].items():
+        unit = fit.parameters[name].unit
+        rows.append([name, readable(unit, own["median"]), readable(unit, *own["ci95"]), f"{own['rhat']:.3f}"])
+    pictures, count = [], len(drawn.labels)
+    if 1 < count <= _MOST_PAIRS:
+        figure = Figure(figsize=(2.4 * count, 2.2 * count), layout="constrained")
+        plot_posterior(dataclasses.replace(drawn, draws=values_of(fit, drawn)), axes=figure.subplots(count, count))
+        alt = f"draws of the posterior in pairs: {', '.join(drawn.labels)}"
+        pictures.append(Picture(alt, inline_svg(figure, alt)))
+    words = f"{summary['draws']:,} draws by the no-U-turn sampler, {summary['divergences']} of them divergent."
+    return {"rows": rows, "pictures": pictures, "words": words, "warnings": "; ".join(summary["warnings"])}
+
+
+def fit_report(
+    fit: Fit,
+    title: str,
+    classes: dict[str, Identifiability] | None = None,
+    posterior: Posterior | None = None,
+) -> str:
+    """The report of a fit as one page of HTML without any link to the outside.
+
+    Args: fit; title of the page; classes, posterior: of `Fit.assess` and `Fit.posterior`, where they were asked for.
+    """
     curves = 3 * max(1, len(fit.channels))
     points = min(_MOST_PRINTED, PRINT_POINTS // curves), min(_MOST_SHOWN, SCREEN_POINTS // curves)
     return render(
@@ -103,6 +147,10 @@ def fit_report(fit: Fit, title: str) -> str:
         channels=[_channel_figure(name, channel, points) for name, channel in fit.channels.items()],
         curves=[_curve_figure(name, curve) for name, curve in fit.curves.items()],
         searches=_searches(fit),
+        intervals=readable_text(fit.intervals),
+        scatter=[readable_text(between.sentence(name)) for name, between in fit.scatter.items()],
+        classes=[(name, found.kind, readable_text(found.sentence)) for name, found in (classes or {}).items()],
+        posterior=_posterior(fit, posterior),
         directions=_directions(fit),
         identifiability=[readable_text(sentence) for sentence in fit.identifiability],
         scale=[readable_text(sentence) for sentence in fit.scale],
