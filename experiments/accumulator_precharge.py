@@ -5,6 +5,12 @@ beyond the steady flow. Numbers shared by all cycles (volume, polytropic index, 
 whose labels are believed; the pre-charge of every other cycle is then read without its label, with an interval, and
 compared with the label (90, 100, 115, 130 bar). Left out in turn: every second block of cycles ("same conditions"), a
 setting of the cooler ("other temperature"), and all labels but one ("one label known").
+
+Answer on 2205 cycles: settled cycles under the same conditions are read with a rank correlation of 0.84 and 9.7 bar
+rms, median error 3.2 bar, and their 95 % intervals, widened by what cycles calibrated on miss, hold in 97 %; at another
+temperature 0.72 and 13.3 bar (intervals hold in 78 %), with one label known 0.69 and 17.8 bar (69 %). Gas volume and
+pre-charge trade off along V_0 p_pre^(1/n); polytropic index, line's compliance and the width of the switch end on their
+bounds.
 """
 
 import argparse
@@ -12,10 +18,11 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from precharge_data import ATMOSPHERE_BAR, Cycles, MissingData, read_cycles
+from precharge_figure import draw
 from precharge_model import BLOCK, LABELS, Calibration, Reading, calibrate, read_precharge
 
 BAR = 1e5
@@ -84,18 +91,29 @@ def described(calibration: Calibration) -> dict:
         "at_bound": calibration.at_bound,
         "residual_noise_ml_per_step": [1e6 * float(x) for x in calibration.noise],
         "residual_bias_ml_per_step": [1e6 * float(x) for x in calibration.bias],
+        "excess_cost_of_the_label": calibration.excess,
         "correlation_of_residuals_of_neighbouring_cycles": calibration.neighbours,
         "intervals": calibration.sentence,
     }
 
 
-def leave_out(cycles: Cycles, splits) -> dict:
-    """Calibrate and read for every split; agreement of all readings together, of the settled ones, and of each fold."""
-    parts, each = [], []
+class Told(NamedTuple):
+    """What a way of leaving out tells: numbers for results.json, settled readings and labels [bar], a calibration."""
+
+    found: dict
+    value: np.ndarray
+    label: np.ndarray
+    calibration: Calibration
+
+
+def leave_out(cycles: Cycles, splits) -> Told:
+    """Calibrate and read for every split: agreement of all readings together, of the settled ones, and of each fold."""
+    parts, each, calibrations = [], [], []
     for fit, rest in splits:
         if not fit.any() or not rest.any():
             continue
         calibration, left = calibrate(cycles[fit]), cycles[rest]
+        calibrations.append(calibration)
         reading = read_precharge(left, calibration)
         told = np.isfinite(reading.value)
         reading, left = Reading(*(x[told] for x in reading)), left[told]
@@ -105,11 +123,12 @@ def leave_out(cycles: Cycles, splits) -> dict:
     label = np.rint(gauge(np.concatenate([left.label for _, left in parts])))
     stable = np.concatenate([left.stable for _, left in parts])
     settled = Reading(*(x[stable] for x in reading))
-    return {
+    found = {
         "all": agreement(gauge(reading.value), label, reading),
         "settled": agreement(gauge(settled.value), label[stable], settled),
         "folds": each,
     }
+    return Told(found, gauge(settled.value), label[stable], calibrations[0])
 
 
 FOUND = [
@@ -121,9 +140,12 @@ FOUND = [
 ]
 
 
-def study(cycles: Cycles) -> dict:
-    """Everything that results.json says."""
-    results = {name: leave_out(cycles, splits) for name, splits in folds(cycles).items()}
+def study(cycles: Cycles, out: Path) -> dict:
+    """Everything that results.json says; draws the figure into a folder."""
+    told = {name: leave_out(cycles, splits) for name, splits in folds(cycles).items()}
+    results: dict[str, Any] = {name: one.found for name, one in told.items()}
+    stuck = sorted({name for one in results.values() for fold in one["folds"] for name in fold["at_bound"]})
+    figure = draw(out, cycles, told)
     main, other = results["same conditions"]["settled"], results["other temperature"]["settled"]
     passed = main["rank_correlation"] >= TARGETS["rank_correlation"] and main["rmse_bar"] <= TARGETS["rmse_bar"]
     finding = (
@@ -131,23 +153,24 @@ def study(cycles: Cycles) -> dict:
         f"{main['rank_correlation']:.2f}, rmse {main['rmse_bar']:.1f} bar, 95 % intervals hold in "
         f"{100 * main['coverage_of_95_percent_intervals']:.0f} %; at another temperature rank correlation "
         f"{other['rank_correlation']:.2f}, rmse {other['rmse_bar']:.1f} bar; volume and pre-charge trade off without "
-        "labels"
+        f"labels; on a bound in some calibration: {', '.join(stuck) or 'nothing'}"
     )
+    results |= {"at_bound": stuck, "figure": figure}
     return results | {"what_can_be_told": FOUND, "targets": TARGETS, "passed": bool(passed), "finding": finding}
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--data", type=Path, required=True, help="folder with all_cycles_1hz.parquet and profile.csv")
-    parser.add_argument("--out", type=Path, required=True, help="folder for results.json")
+    parser.add_argument("--out", type=Path, required=True, help="folder for results.json and figure.png")
     args = parser.parse_args()
     try:
         cycles = read_cycles(args.data)
     except MissingData as missing:
         print(missing)
         return 2
-    results = study(cycles)
     args.out.mkdir(parents=True, exist_ok=True)
+    results = study(cycles, args.out)
     draft = args.out / "results.json.part"
     draft.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
     os.replace(draft, args.out / "results.json")

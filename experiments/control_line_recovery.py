@@ -6,6 +6,10 @@ The recording is made anew by the distributed model of `make_control_line_record
 The study `example:control-line` is then fitted to it four times: as the example does, without the uncertainties of
 known numbers (so that the standard deviations come from the noise alone), without noise (what is left is the bias of
 the one-lump model), and with air left out, which must be noticed. Exits with 1 when a claim is missed.
+
+Answer: modulus within 0.01 % of the truth and air within 0.2 %, 95 % intervals of 0.8 % and 1.5 % (0.13 % and 1.3 %
+from noise alone); the one-lump model errs by at most 0.14 standard deviations of the noise; without air the residuals
+reach 17 bar and are far from white.
 """
 
 import argparse
@@ -14,6 +18,7 @@ import sys
 from pathlib import Path
 
 import make_control_line_recording as generator
+from control_line_figure import draw
 from rich.console import Console
 from rich.table import Table
 
@@ -165,7 +170,7 @@ def finding(numbers: dict, found: dict[str, Fit], claims: dict[str, bool]) -> st
 def main() -> int:
     """Make the recordings, fit, judge, write `results.json`."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, required=True, help="folder for the recordings and results.json")
+    parser.add_argument("--out", type=Path, required=True, help="folder for the recordings, results.json, figure.png")
     folder = parser.parse_args().out
     noisy, noise_free = make_recordings(folder)
     study = jl.load_study("example:control-line")
@@ -176,8 +181,9 @@ def main() -> int:
     console.print(f"air: {numbers['range_of_air_over_polytropic_index']}")
     for name, ratio in numbers["bias_over_statistical_sd"].items():
         console.print(f"bias of {name}: {ratio:.3f} of the statistical standard deviation")
+    figure = draw(folder, found, truths(), numbers | {"bias_limit": BIAS_LIMIT}, LABELS)
     result = {"truth": truths(), "fits": {name: summary(fit) for name, fit in found.items()}, **numbers}
-    result |= {"claims": claims, "finding": finding(numbers, found, claims)}
+    result |= {"figure": figure, "claims": claims, "finding": finding(numbers, found, claims)}
     generator.save_json(folder / "results.json", result)
     console.print(result["finding"], soft_wrap=True)
     return 0 if all(claims.values()) else 1

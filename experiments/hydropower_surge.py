@@ -1,5 +1,16 @@
 """What does the start of a hydropower plant tell about its waterway, and does it foretell the stop?
 
+Model, a rigid tunnel (I_t, R_t), a shaft whose area A changes with level by a factor e per 1/s, a rigid penstock
+(I_p, R_p) and a flow meter that reads Q_m:
+
+    I_t dQ_t/dt = p_lake - p_s - R_t Q_t|Q_t|    (A_0/g rho) e^(s z) dp_s/dt = Q_t - Q
+    p = p_s - I_p dQ/dt - R_p Q|Q|               Q = Q_m (|Q_m|/Q_n)^k
+
+Answer on the first 2300 s: parts left out are predicted within 0.057 bar rms (target 0.085) by a tapered shaft and a
+meter exponent k of 0.18; small surges at rest last 88.1 s by the fit, 88.3 s as seen, 77.9 s by the rigid column on
+geometry alone. The data draw the tunnel's inertance 18 % below its drawing, four standard deviations of what was
+thought of it, and neither want a lag or delay of the gauge nor are the residuals white: blocks of them give intervals.
+
 Tunnel, surge shaft and penstock are fitted to the pressure before the turbine for t < 2300 s, with the measured flow
 as input. Structures of the model are compared on parts of those 2300 s that each fit does not see. Where later data
 are in the file, they are predicted (conditional on their measured flow), and so is the period of the surge after the
@@ -15,6 +26,7 @@ from pathlib import Path
 
 import numpy as np
 from surge_data import Geometry, MissingData, Series, read_geometry, read_series, surge_period
+from surge_figure import draw
 from surge_model import NUMERICS, STRUCTURES, Waterway, rest_period
 
 import jaxlines as jl
@@ -100,8 +112,8 @@ def surge_window(series: Series, start: float) -> np.ndarray:
     return (series.times >= closed) & (series.times <= closed + 800.0) & (index < last)
 
 
-def foretell(fit, way: Waterway, whole: Series) -> dict:
-    """Simulate the whole file with the fitted numbers and compare what the fit has not seen."""
+def simulated(fit, way: Waterway, whole: Series) -> np.ndarray:
+    """Pressure over the whole file with the fitted numbers and the measured flow [Pa]."""
     run = fit.runs[0]
     recording = Waterway(way.geometry, whole).recording()
     inputs = {
@@ -109,7 +121,11 @@ def foretell(fit, way: Waterway, whole: Series) -> dict:
         for name, signal in run.inputs.items()
     }
     numerics = {name: NUMERICS[name] for name in ("tolerance", "max_steps")}
-    shown = np.asarray(jl.simulate(run.circuit, whole.times, inputs, initial=run.initial, **numerics)["gauge"])
+    return np.asarray(jl.simulate(run.circuit, whole.times, inputs, initial=run.initial, **numerics)["gauge"])
+
+
+def foretell(whole: Series, shown: np.ndarray) -> dict:
+    """Compare the simulated pressure with what the fit has not seen."""
     later = whole.times >= FITTED_UNTIL
     left = (whole.pressure - shown)[later] / BAR
     window = surge_window(whole, FITTED_UNTIL)
@@ -142,8 +158,8 @@ def periods(fit, way: Waterway) -> dict:
     }
 
 
-def study(geometry: Geometry, whole: Series) -> dict:
-    """Everything that results.json says."""
+def study(geometry: Geometry, whole: Series, out: Path) -> dict:
+    """Everything that results.json says; draws the figure into a folder."""
     way = Waterway(geometry, whole.until(FITTED_UNTIL))
     scores = left_out(way)
     best = min(score["all"] for score in scores.values())
@@ -173,9 +189,10 @@ def study(geometry: Geometry, whole: Series) -> dict:
         "conditional_on": "the measured flow, before and after 2300 s",
         "targets": TARGETS,
     }
+    shown = simulated(fit, way, whole)
     if np.any(whole.times >= FITTED_UNTIL):
-        results |= foretell(fit, way, whole)
-    return results
+        results |= foretell(whole, shown)
+    return results | {"figure": draw(out, results, whole, shown, FITTED_UNTIL)}
 
 
 def against_prior(fit) -> dict[str, float]:
@@ -208,7 +225,14 @@ def verdict(results: dict) -> tuple[bool, str]:
             f"surge period {period['fitted_s']:.1f} s, seen at rest {period['seen_at_rest_s']:.1f} s"
         )
     passed = bool(error <= TARGETS["rmse_bar"] and abs(shift) <= TARGETS["period_error"])
-    return passed, f"{results['structure']}: {text}; rigid column on geometry alone {formula:.1f} s"
+    text = f"{results['structure']}: {text}; rigid column on geometry alone {formula:.1f} s"
+    for words, key in (
+        ("on a bound", "at_bound"),
+        ("against its prior", "against_prior"),
+        ("not wanted", "not_wanted"),
+    ):
+        text += f"; {words}: {', '.join(results[key])}" if results[key] else ""
+    return passed, text + ("" if results["residuals"]["white"] else "; residuals are not white")
 
 
 def write(results: dict, out: Path) -> None:
@@ -222,14 +246,15 @@ def write(results: dict, out: Path) -> None:
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--data", type=Path, required=True, help="folder with start_1hz.csv or full_1hz.csv")
-    parser.add_argument("--out", type=Path, required=True, help="folder for results.json")
+    parser.add_argument("--out", type=Path, required=True, help="folder for results.json and figure.png")
     args = parser.parse_args()
     try:
         geometry, whole = read_geometry(args.data), read_series(args.data)
     except MissingData as missing:
         print(missing)
         return 2
-    results = study(geometry, whole)
+    args.out.mkdir(parents=True, exist_ok=True)
+    results = study(geometry, whole, args.out)
     passed, text = verdict(results)
     write(results | {"passed": passed, "finding": text}, args.out)
     print(("" if passed else "MISSED: ") + text)

@@ -44,7 +44,11 @@ def student(rows):
 
 @dataclasses.dataclass(frozen=True)
 class Calibration:
-    """Shared numbers with 95 % ends, noise of a step [m^3, shape (steps,)], and what the residuals say."""
+    """Shared numbers with 95 % ends, noise of a step [m^3, shape (steps,)], and what the residuals say.
+
+    excess: by how much the cost at the label exceeds the least cost in 95 % of the cycles calibrated on; 3.84 if steps
+    erred independently. It takes up what all steps of a cycle share, and bounds the intervals of readings.
+    """
 
     values: np.ndarray
     low: np.ndarray
@@ -54,6 +58,7 @@ class Calibration:
     bias: np.ndarray
     sentence: str
     neighbours: float
+    excess: float = CHI_SQUARE
 
     @property
     def at_bound(self) -> list[str]:
@@ -86,7 +91,7 @@ def calibrate(cycles: Cycles) -> Calibration:
         left[keep] = np.asarray(taken_in(end.x, label, warmth, before, after)) - taken
     mean = np.nanmean(left, axis=1)
     mean = mean[np.isfinite(mean)]
-    return Calibration(
+    found = Calibration(
         values=end.x,
         low=np.maximum(end.x - reach, LOWER),
         high=np.minimum(end.x + reach, UPPER),
@@ -96,21 +101,11 @@ def calibrate(cycles: Cycles) -> Calibration:
         sentence=noise.sentence,
         neighbours=float(np.corrcoef(mean[1:], mean[:-1])[0, 1]),
     )
+    return dataclasses.replace(found, excess=excess(cycles, found))
 
 
-class Reading(NamedTuple):
-    """Pre-charge of each cycle with the ends of its 95 % interval [Pa absolute at 20 C], NaN where nothing is usable;
-    open_ended: the interval reaches an end of what was tried. It counts the noise of single steps, not what the
-    calibration leaves open nor errors that all steps of a cycle share, so that it is too narrow where these matter."""
-
-    value: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    open_ended: np.ndarray
-
-
-def read_precharge(cycles: Cycles, calibration: Calibration) -> Reading:
-    """The pre-charge of every cycle by likelihood over a grid, from pressure, flow and temperature alone."""
+def costs(cycles: Cycles, calibration: Calibration) -> np.ndarray:
+    """Sum of squares over steps, in noise levels, for every pre-charge of `GRID` and every cycle."""
     with computing_in("float64"):
         shown = taken_in(
             calibration.values,
@@ -120,8 +115,34 @@ def read_precharge(cycles: Cycles, calibration: Calibration) -> Reading:
             cycles.after[None],
         )
         squares = np.square((np.asarray(shown) - cycles.taken) / calibration.noise)
-    cost = np.where(cycles.usable, np.minimum(squares, CAP), 0.0).sum(axis=2)
-    inside = cost <= cost.min(axis=0) + CHI_SQUARE
+    return np.where(cycles.usable, np.minimum(squares, CAP), 0.0).sum(axis=2)
+
+
+def excess(cycles: Cycles, calibration: Calibration) -> float:
+    """The 95 % quantile of the cost at the label less the least cost, over cycles; at least 3.84.
+
+    Reference: Vovk, Gammerman and Shafer, "Algorithmic Learning in a Random World", 2005 (conformal prediction).
+    """
+    cost, told = costs(cycles, calibration), cycles.usable.any(axis=1)
+    labelled = cost[np.argmin(np.abs(GRID[:, None] - cycles.label), axis=0), np.arange(cycles.label.size)]
+    return max(CHI_SQUARE, float(np.quantile((labelled - cost.min(axis=0))[told], 0.95)))
+
+
+class Reading(NamedTuple):
+    """Pre-charge of each cycle with the ends of its 95 % interval [Pa absolute at 20 C], NaN where nothing is usable;
+    open_ended: the interval reaches an end of what was tried. It holds for cycles like those calibrated on (`excess`),
+    and is too narrow at other temperatures, where the calibration itself is in doubt."""
+
+    value: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    open_ended: np.ndarray
+
+
+def read_precharge(cycles: Cycles, calibration: Calibration) -> Reading:
+    """The pre-charge of every cycle by likelihood over a grid, from pressure, flow and temperature alone."""
+    cost = costs(cycles, calibration)
+    inside = cost <= cost.min(axis=0) + calibration.excess
     best = GRID[np.argmin(cost, axis=0)]
     low, high = GRID[np.argmax(inside, axis=0)], GRID[GRID.size - 1 - np.argmax(inside[::-1], axis=0)]
     told = cycles.usable.any(axis=1)

@@ -37,6 +37,7 @@ def panels(rows: int, columns: int, size: tuple[float, float]) -> tuple[Any, np.
 def label(axes, title: str, x: str, y: str, legend: bool = True) -> None:
     """Title, axes with units, legend."""
     axes.set_title(title, loc="left", fontweight="bold")
+    axes.set_axisbelow(True)
     axes.set_xlabel(x)
     axes.set_ylabel(y)
     if legend:

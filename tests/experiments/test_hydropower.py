@@ -125,7 +125,7 @@ def test_a_fit_of_the_start_foretells_stop_and_surge(folder, monkeypatch):
     assert abs(study.periods(fit, way)["rigid_column_s"] / truth - 1) > 0.03
     assert fit.parameters["shaft.area"].value == pytest.approx(SHAFT, rel=0.05)
     assert fit.parameters["tunnel.quadratic_resistance"].value == pytest.approx(LOSS, rel=0.2)
-    told = study.foretell(fit, way, whole)
+    told = study.foretell(whole, study.simulated(fit, way, whole))
     assert told["validation_rmse_bar"] < 0.02
     assert abs(told["surge_period_relative_error"]) < 0.02
     assert told["surge_period_measured_s"] == pytest.approx(truth, rel=0.03)
@@ -134,6 +134,21 @@ def test_a_fit_of_the_start_foretells_stop_and_surge(folder, monkeypatch):
 def test_structures_that_do_not_help_are_named():
     scores = {"a": {"all": 0.05}, "b": {"all": 0.04}, "c": {"all": 0.06}, "d": {"all": 0.059}}
     assert study.not_wanted(scores) == ["c", "d"]
+
+
+def test_the_figure_shows_structures_and_periods(tmp_path):
+    """Also where part of the file was not fitted."""
+    series = plant(np.arange(0.0, 800.0, 2.0))
+    scores = {
+        "a": {"opening": 0.06, "after it": 0.05, "all": 0.055},
+        "b": {"opening": 0.1, "after it": 0.1, "all": 0.1},
+    }
+    names = ("fitted_s", "seen_at_rest_s", "rigid_column_s", "rigid_column_with_shaft_inertia_s")
+    results = {"left_out_rmse_bar": scores, "structure": "a", "targets": study.TARGETS}
+    results |= {"period": dict(zip(names, (88.0, 88.3, 78.0, 80.0), strict=True))}
+    results |= {"surge_period_measured_s": 90.0, "surge_period_predicted_s": 89.0}
+    name = study.draw(tmp_path, results, series, series.pressure + 1e3, 500.0)
+    assert (tmp_path / name).stat().st_size > 20_000
 
 
 def test_missing_data_says_where_to_get_them(tmp_path, folder):

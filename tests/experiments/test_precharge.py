@@ -86,7 +86,7 @@ def test_a_calibration_finds_what_cycles_share(calibration):
     assert shared["warming"] == pytest.approx(WARMING, abs=0.15)
 
 
-def test_left_out_cycles_show_their_precharge(cycles, calibration):
+def test_left_out_cycles_show_their_precharge(cycles, calibration, tmp_path):
     """Without their labels; and a calibration that is wrong by 20 % in volume is seen to be wrong."""
     left = cycles[(cycles.number // 80) % 2 == 1]
     label = np.rint(study.gauge(left.label))
@@ -96,10 +96,28 @@ def test_left_out_cycles_show_their_precharge(cycles, calibration):
     assert found["rmse_bar"] < 4.0
     assert found["slope"] == pytest.approx(1.0, abs=0.1)
     assert 0.85 <= found["coverage_of_95_percent_intervals"] <= 1.0
+    told = study.Told({"settled": found}, study.gauge(reading.value), label, calibration)
+    name = study.draw(tmp_path, left, {"same conditions": told, "other temperature": told})
+    assert (tmp_path / name).stat().st_size > 20_000
     wrong = model.read_precharge(
         left, model.dataclasses.replace(calibration, values=calibration.values * [0.8, 1, 1, 1, 1, 1])
     )
     assert study.agreement(study.gauge(wrong.value), label)["rmse_bar"] > 8.0
+
+
+def test_intervals_take_up_what_the_steps_of_a_cycle_share(cycles, calibration):
+    """An error of 3 ml in all steps of every fifth cycle: white intervals miss, those from the excess hold."""
+    odd = cycles.number % 5 == 0
+    spoilt = model.dataclasses.replace(cycles, taken=cycles.taken + np.where(odd, 3e-6, 0.0)[:, None])
+    wide = model.dataclasses.replace(calibration, excess=model.excess(spoilt, calibration))
+    label = np.rint(study.gauge(spoilt.label))
+    covered = []
+    for one in (model.dataclasses.replace(calibration, excess=model.CHI_SQUARE), wide):
+        reading = model.read_precharge(spoilt, one)
+        found = study.agreement(study.gauge(reading.value), label, reading)
+        covered.append(found["coverage_of_95_percent_intervals"])
+    assert wide.excess > 2.0 * model.CHI_SQUARE
+    assert covered[0] < 0.9 and covered[1] >= 0.95
 
 
 def test_agreement_of_numbers_known_by_hand():
