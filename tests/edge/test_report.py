@@ -10,6 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import jaxlines as jl
+from jaxlines.edge import report
 from jaxlines.edge.display import estimate_row, readable_text, readable_unit, rounded
 from jaxlines.edge.drawing import circuit_svg
 from jaxlines.edge.plots import decimate, plot_bulk_modulus, plot_channel, plot_residuals, plot_wave_speed
@@ -177,6 +178,16 @@ def test_long_recordings_stay_small_and_say_what_is_drawn():
     page = fit_report(made_fit(100_000, names), "long")
     assert len(page.encode()) < 5_000_000
     assert "Drawn with at most 5,000 of 100,000 samples: the lowest and the highest of every 40" in page
+
+
+def test_of_very_many_channels_those_that_fit_worst_are_drawn(monkeypatch):
+    monkeypatch.setattr(report, "_MOST_CHANNELS", 1)
+    fit = made_fit(50, ("first", "second", "third"))
+    fit.channels["second"] = fit.channels["second"]._replace(rmse=5e5)
+    page = Page(fit_report(fit, "many"))
+    assert "second [MPa]" in page.text
+    assert "first [MPa]" not in page.text
+    assert "2 more channels are not drawn" in page.text
 
 
 def test_failed_fit_has_a_page():

@@ -24,6 +24,7 @@ from jaxlines.inference.posterior import Posterior
 from jaxlines.inference.uncertainty import p_value_text
 
 _MOST_PRINTED, _MOST_SHOWN, _MOST_DIRECTIONS, _MOST_PAIRS = 4_000, 15_000, 10, 6
+_MOST_CHANNELS = 24
 _STATUS = {"converged": "good", "failed": "bad"}
 
 
@@ -41,6 +42,12 @@ def _channel_figure(name: str, channel: ChannelFit, points: tuple[int, int]) -> 
     size, samples = (8.2, 5.0), channel.times.size
     shown = picture(draw, alt, size=size, panels=(2.2, 1), points=points, samples=samples)
     return {"name": name, "summary": summary, "picture": shown}
+
+
+def _shown(fit: Fit) -> dict[str, ChannelFit]:
+    """The channels that are drawn: all, or of very many those that fit worst for their noise."""
+    worst = sorted(fit.channels, key=lambda name: -fit.channels[name].rmse / max(fit.channels[name].sigma, 1e-300))
+    return {name: fit.channels[name] for name in fit.channels if name in worst[:_MOST_CHANNELS]}
 
 
 def _randomness(channel: ChannelFit) -> str:
@@ -131,7 +138,8 @@ def fit_report(
 
     Args: fit; title of the page; classes, posterior: of `Fit.assess` and `Fit.posterior`, where they were asked for.
     """
-    curves = 3 * max(1, len(fit.channels))
+    channels = _shown(fit)
+    curves = 3 * max(1, len(channels))
     points = min(_MOST_PRINTED, PRINT_POINTS // curves), min(_MOST_SHOWN, SCREEN_POINTS // curves)
     return render(
         "report.html.jinja",
@@ -144,7 +152,8 @@ def fit_report(
         parameters=[(name, estimate_row(estimate)) for name, estimate in fit.parameters.items()],
         derived=[(name, estimate_row(estimate)) for name, estimate in fit.derived.items()],
         correlations=_correlations(fit),
-        channels=[_channel_figure(name, channel, points) for name, channel in fit.channels.items()],
+        channels=[_channel_figure(name, channel, points) for name, channel in channels.items()],
+        left_out=len(fit.channels) - len(channels),
         curves=[_curve_figure(name, curve) for name, curve in fit.curves.items()],
         searches=_searches(fit),
         intervals=readable_text(fit.intervals),
