@@ -10,7 +10,8 @@ import numpy as np
 
 from jaxlines.simulation.ensemble import FEWEST, EnsembleProgram, workers
 from jaxlines.simulation.ensemble_columns import Varied, as_slice, out_of_range
-from jaxlines.simulation.ensemble_program import LaneProgram, chunk_tangent, compiled, lane_outputs
+from jaxlines.simulation.ensemble_program import LaneProgram, chunk_tangent, compiled
+from jaxlines.simulation.lockstep_gradient import lane_outputs
 from jaxlines.simulation.precision import cast, computing_in
 
 DERIVATIVE_LANES = 4 * FEWEST

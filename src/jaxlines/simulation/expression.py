@@ -13,7 +13,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal
 
 from jaxlines.simulation.node import Node
-from jaxlines.simulation.rearrangement import objects, rearranged
+from jaxlines.simulation.rearrangement import PARTS, added_at, objects, rearranged
 from jaxlines.simulation.simplification import simplified
 
 _NAMES = (
@@ -54,7 +54,7 @@ class Graph:
 
     def operation(self, primitive, params: dict, dtype, args: tuple) -> Node:
         """The node of an element-wise operation, simplified."""
-        simple = simplified(self, primitive.name, args, dtype)
+        simple = simplified(self, primitive.name, args, dtype, params)
         if simple is not None:
             return simple
         key = (primitive.name, str(sorted(params.items(), key=str)), str(dtype), tuple(map(id, args)))
@@ -100,10 +100,11 @@ class Graph:
             return [objects(flat, shape)]
         if name in SUMS and "axes" in params:
             return [self._reduced(SUMS[name], args[0], params["axes"], dtype)]
-        moved = rearranged(name, params, args)
-        if moved is not None:
-            return [moved.reshape(shape)]
-        return self._whole(eqn, args)
+        if name in PARTS:
+            parts = PARTS[name](params, args[0])
+            return [part.reshape(v.aval.shape) for part, v in zip(parts, eqn.outvars, strict=True)]
+        moved = self._added(eqn, args) if eqn.primitive is jax.lax.scatter_add_p else rearranged(name, params, args)
+        return self._whole(eqn, args) if moved is None else [moved.reshape(shape)]
 
     def _reduced(self, operation: str, array: np.ndarray, axes, dtype) -> np.ndarray:
         primitive = _primitive({"add": jax.lax.add, "max": jax.lax.max, "min": jax.lax.min}.get(operation))
@@ -115,6 +116,17 @@ class Graph:
         for index in np.ndindex(rows.shape[:-1]):
             result[index] = functools.reduce(lambda a, b: self.operation(primitive, {}, dtype, (a, b)), rows[index])
         return result
+
+    def _added(self, eqn, args: list[np.ndarray]) -> np.ndarray | None:
+        """Numbers added to others at constant places, which is what a gather is backwards; None for other places."""
+        targets = added_at(eqn.params, args)
+        if targets is None:
+            return None
+        flat = list(args[0].ravel())
+        for number, target in zip(args[2].ravel(), targets, strict=True):
+            if target is not None:
+                flat[target] = self.lax(jax.lax.add, flat[target], number)
+        return objects(flat, args[0].shape)
 
     def _whole(self, eqn, args: list[np.ndarray]) -> list[np.ndarray]:
         """An operation that is left as it is, on arrays put together for it."""

@@ -14,9 +14,9 @@ import numpy as np
 
 from jaxlines.physics.component import DOMAINS
 from jaxlines.simulation.assembly import Location
-from jaxlines.simulation.evaluation import boundary, evaluate
+from jaxlines.simulation.bound_field import BoundField
 from jaxlines.simulation.expression import Graph
-from jaxlines.simulation.lane_signals import LaneSignals, every_signal, tagged, with_numbers
+from jaxlines.simulation.lane_signals import every_signal, tagged, with_numbers
 from jaxlines.simulation.node import Node
 from jaxlines.simulation.observation import observe
 from jaxlines.simulation.plan import Plan, Values
@@ -133,33 +133,43 @@ class LaneField:
         return [node for array in results for node in array.ravel()]
 
     def partials(self, which: str, names: Sequence) -> list[dict[int, Node]]:
-        """For each number of a result: which of some inputs it depends on, and the derivative in them."""
+        """For each number of a result: which of some inputs it depends on, and the derivative in them.
+
+        Each row is found backwards from its result, so that it costs little more than the result itself.
+        """
         function = self._function(which)
-        shapes = self._shapes()
-        jaxpr = jax.make_jaxpr(lambda p, q, dp, dq: jax.jvp(function, (p, q), (dp, dq))[1])(*shapes, *shapes)
+        shapes, results = self._shapes(), jax.eval_shape(self._function(which), *self._shapes())
+        jaxpr = jax.make_jaxpr(lambda p, q, weights: jax.vjp(function, p, q)[1](weights))(*shapes, results)
         held, states = self._arguments()
+        inputs = {name: k for k, name in enumerate(names)}
+        owners = [inputs.get(name) for array in (*self._held_names(), self.state_names) for name in array]
         found: list[dict[int, Node]] = []
-        for k, name in enumerate(names):
-            seeds = [self._seed(array, name) for array in (*held, *states)]
-            results = self.graph.outputs(jaxpr, *held, *states, *seeds)
-            nodes = [node for array in results for node in array.ravel()]
-            found = found or [{} for _ in nodes]
-            for row, node in zip(found, nodes, strict=True):
-                if not node.is_constant(0):
-                    row[k] = node
+        for row in range(sum(r.size for r in results)):
+            weights = self._weights(results, row)
+            pulled = [node for array in self.graph.outputs(jaxpr, *held, *states, *weights) for node in array.ravel()]
+            found.append({})
+            for owner, node in zip(owners, pulled, strict=True):
+                if owner is not None and not node.is_constant(0):
+                    known = found[row].get(owner)
+                    found[row][owner] = node if known is None else self.graph.lax(jax.lax.add, known, node)
         return found
 
-    def _seed(self, array: np.ndarray, name) -> np.ndarray:
-        """The tangent of an argument: one where it is the named input."""
-        wanted = self._node(name)
-        flat = [self.graph.constant(float(node is wanted), self._dtype) for node in array.ravel()]
-        seed = np.empty(len(flat), dtype=object)
-        seed[:] = flat
-        return seed.reshape(array.shape)
+    def _held_names(self) -> list[list]:
+        """Names of the numbers of the held leaves."""
+        return [[self._names[tag] for tag in tags.ravel()] for tags in self._held_tags]
+
+    def _weights(self, results, wanted: int) -> list[np.ndarray]:
+        """Cotangents of results: one for the number that is wanted, else zero."""
+        ones, at = np.eye(1, sum(r.size for r in results), wanted)[0], 0
+        arrays = []
+        for r in results:
+            arrays.append(self.graph.constants(ones[at : at + r.size].astype(self._dtype).reshape(r.shape)))
+            at += r.size
+        return arrays
 
     def bind(
         self, values: Values, columns: Sequence, t, partials: bool = False, differentiated: Sequence[int] | None = None
-    ) -> "BoundField":
+    ) -> BoundField:
         """The field with numbers: those of the circuit, and the columns of the varied ones, (lanes,) each.
 
         partials: whether partial derivatives will be asked for; differentiated: the columns that they are taken in
@@ -181,96 +191,3 @@ class LaneField:
         """Signals and states by their nodes."""
         found = {self._node(name): value for name, value in zip(self.signal_names, numbers, strict=True)}
         return found | {self._node(name): value for name, value in zip(self.state_names, state, strict=False)}
-
-
-class BoundField:
-    """A lane field with its numbers, inside a traced program.
-
-    A state is a tuple of arrays (lanes,), in the order of `LaneField.state_names`.
-    """
-
-    def __init__(self, field: LaneField, values: Values, columns, known: dict, t, shape, partials, differentiated):
-        self.field, self.columns, self.shape, self.differentiated = field, columns, shape, differentiated
-        self._signals = LaneSignals(values, field.tags, len(columns))
-        self._places = [i for i, name in enumerate(field.inputs()) if self._is_wanted(name)]
-        rows = [self._partials(which) if partials else [] for which in ("rates", "outputs")]
-        self.rate_partials, self.output_partials = rows
-        self._start_known = known | field.moving(self.signals(t))
-        nodes = [*field.rates, *field.outputs, *(node for part in rows for row in part for node in row.values())]
-        once = boundary(nodes)
-        self._once = dict(zip(once, evaluate(once, known), strict=True))
-
-    def _is_wanted(self, name) -> bool:
-        """Whether derivatives in an input are needed: those in other columns are not."""
-        return name[1] in (self.differentiated if name[0] == "column" else self._signals.moved_by(self.differentiated))
-
-    def _partials(self, which: str) -> list[dict[int, Node]]:
-        """Partial derivatives in the states (0..) and in those inputs after them that are needed."""
-        size, inputs = self.field.size, self.field.inputs()
-        places = [*range(size), *(size + i for i in self._places)]
-        rows = self.field.partials(which, [*self.field.state_names, *(inputs[i] for i in self._places)])
-        return [{places[k]: node for k, node in row.items()} for row in rows]
-
-    def signals(self, t) -> list:
-        """What the signals are at time t."""
-        return self._signals.numbers(self.columns, t)
-
-    def start(self) -> tuple:
-        """The state at the start."""
-        return tuple(jnp.broadcast_to(y, self.shape) for y in evaluate(self.field.start, self._start_known))
-
-    def _known(self, signals, state) -> dict:
-        return self._once | self.field.moving(signals, state)
-
-    def rates(self, signals, state: tuple) -> tuple:
-        """The rates of a state."""
-        found = evaluate(self.field.rates, self._known(signals, state))
-        return tuple(jnp.broadcast_to(f, self.shape) for f in found)
-
-    def outputs(self, signals, state: tuple):
-        """The wanted outputs in a state, shape (wanted, lanes)."""
-        found = evaluate(self.field.outputs, self._known(signals, state))
-        return jnp.stack([jnp.broadcast_to(f, self.shape) for f in found])
-
-    def rates_and_partials(self, signals, state: tuple) -> tuple[tuple, list[dict[int, Any]]]:
-        """The rates, and for each the derivatives in the states (0..) and in the inputs after them."""
-        return self._with_partials(self.field.rates, self.rate_partials, signals, state)
-
-    def outputs_and_partials(self, signals, state: tuple) -> tuple[tuple, list[dict[int, Any]]]:
-        """The outputs, and for each the derivatives in the states and in the inputs after them."""
-        return self._with_partials(self.field.outputs, self.output_partials, signals, state)
-
-    def start_partials(self) -> list[dict[int, Any]]:
-        """For each state the derivatives of its start in the columns and, after them, in the signals."""
-        inputs = self.field.inputs()
-        rows = self.field.partials("start", [inputs[i] for i in self._places])
-        nodes = [node for row in rows for node in row.values()]
-        found = iter(evaluate(nodes, self._start_known))
-        return [{self._places[k]: jnp.broadcast_to(next(found), self.shape) for k in row} for row in rows]
-
-    @property
-    def varies_signals(self) -> bool:
-        """Whether a column varies a signal."""
-        return bool(self._signals.columns)
-
-    def pushed(self, t) -> list[dict[int, Any]]:
-        """For each signal its derivatives in the columns that are differentiated."""
-        return self._signals.pushed(self.columns, t, self.differentiated)
-
-    def pulled(self, t, cotangents: Sequence) -> list:
-        """Cotangents of the columns from those of the signals."""
-        return self._signals.pulled(self.columns, t, cotangents)
-
-    def _with_partials(self, nodes, rows, signals, state):
-        every = [*nodes, *(node for row in rows for node in row.values())]
-        found = [jnp.broadcast_to(x, self.shape) for x in evaluate(every, self._known(signals, state))]
-        values, rest = tuple(found[: len(nodes)]), iter(found[len(nodes) :])
-        return values, [{k: next(rest) for k in row} for row in rows]
-
-    def total(self, slopes: Sequence):
-        """The sum of a state's rates, each in units of its typical size, for every lane."""
-        terms = [f * (1.0 / scale) for f, scale in zip(slopes, self.field.scales, strict=True)]
-        total = terms[0]
-        for term in terms[1:]:
-            total = total + term
-        return total

@@ -115,11 +115,16 @@ class LaneSignals:
                     row[c] = slope
         return rows
 
-    def pulled(self, columns: Sequence, t, cotangents: Sequence) -> list:
-        """Cotangents of the columns from those of the signals at time t."""
-        numbers, pull = jax.vjp(lambda columns: self.numbers(columns, t), list(columns))
-        shaped = [
-            jnp.broadcast_to(c, jnp.shape(n)) if jnp.ndim(n) else jnp.sum(c)
-            for c, n in zip(cotangents, numbers, strict=True)
-        ]
-        return pull(shaped)[0]
+    def pulled(self, columns: Sequence, times, cotangents: Sequence) -> list:
+        """Cotangents of the columns from those of the signals at some times, (times, lanes) each."""
+
+        def every(columns):
+            numbers = jax.vmap(lambda t: self.numbers(columns, t))(times)
+            return [n for n, tags in zip(numbers, self._tags, strict=True) if self._is_varied(tags)]
+
+        given = [c for c, tags in zip(cotangents, self._tags, strict=True) if self._is_varied(tags)]
+        return jax.vjp(every, list(columns))[1](given)[0]
+
+    @staticmethod
+    def _is_varied(tags: list) -> bool:
+        return any(tag is not None for tag in tags)

@@ -41,6 +41,13 @@ MOVES = {
 """Operations on arrays of objects. The caller gives their results the shape they must have."""
 
 
+PARTS = {
+    "split": lambda params, array: np.split(array, np.cumsum(params["sizes"])[:-1], axis=params["axis"]),
+    "unstack": lambda params, array: np.split(array, array.shape[params["axis"]], axis=params["axis"]),
+}
+"""Operations that take an array apart."""
+
+
 def rearranged(name: str, params: dict, args: list[np.ndarray]) -> np.ndarray | None:
     """The result of an operation that only moves numbers, but for its shape; None for any other operation."""
     if name in MOVES:
@@ -78,3 +85,19 @@ PRIMITIVES = {
     "dynamic_update_slice": jax.lax.dynamic_update_slice_p,
     "pad": jax.lax.pad_p,
 }
+
+
+def added_at(params: dict, args: list[np.ndarray]) -> list[int | None] | None:
+    """Where a scatter-add adds each of its numbers: flat positions, None for outside; None unless they are constant."""
+    into, places, added = args
+    if any(not node.is_constant() for node in places.ravel()):
+        return None
+    where = np.asarray([n.value for n in places.ravel()], dtype=np.int32).reshape(places.shape)
+    kept = ("dimension_numbers", "indices_are_sorted", "unique_indices", "mode")
+    options = {key: params[key] for key in kept}
+    numbers = np.arange(1.0, 1.0 + into.size, dtype=np.float32).reshape(into.shape)
+    with jax.ensure_compile_time_eval():
+        nothing = jnp.zeros(into.shape, jnp.float32), jnp.zeros(added.shape, jnp.float32)
+        pull = jax.vjp(lambda x: jax.lax.scatter_add(nothing[0], where, x, **options), nothing[1])[1]
+        found = np.asarray(pull(jnp.asarray(numbers))[0]).ravel()
+    return [int(x) - 1 if x else None for x in found]

@@ -1,0 +1,138 @@
+"""A lane field with its numbers: rates, outputs and partial derivatives of many lanes inside a traced program."""
+
+import copy
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import jax.numpy as jnp
+
+from jaxlines.simulation.evaluation import boundary, evaluate
+from jaxlines.simulation.lane_signals import LaneSignals
+from jaxlines.simulation.node import Node
+
+if TYPE_CHECKING:
+    from jaxlines.simulation.lane_field import LaneField
+
+
+class BoundField:
+    """A lane field with its numbers; see `LaneField.bind`.
+
+    A state is a tuple of arrays (lanes,), in the order of `LaneField.state_names`.
+    """
+
+    def __init__(
+        self, field: "LaneField", values, columns, known: dict, t, shape, partials: bool, differentiated: tuple
+    ):
+        self.field, self.columns, self.shape, self.differentiated = field, columns, shape, differentiated
+        self._signals = LaneSignals(values, field.tags, len(columns))
+        self._places = [i for i, name in enumerate(field.inputs()) if self._is_wanted(name)]
+        rows = [self._partials(which) if partials else [] for which in ("rates", "outputs")]
+        self.rate_partials, self.output_partials = rows
+        self._start_known = known | field.moving(self.signals(t))
+        nodes = [*field.rates, *field.outputs, *(node for part in rows for row in part for node in row.values())]
+        once = boundary(nodes)
+        self._once = dict(zip(once, evaluate(once, known), strict=True))
+
+    def _is_wanted(self, name) -> bool:
+        """Whether derivatives in an input are needed: those in other columns are not."""
+        return name[1] in (self.differentiated if name[0] == "column" else self._signals.moved_by(self.differentiated))
+
+    def _partials(self, which: str) -> list[dict[int, Node]]:
+        """Partial derivatives in the states (0..) and in those inputs after them that are needed."""
+        size, inputs = self.field.size, self.field.inputs()
+        places = [*range(size), *(size + i for i in self._places)]
+        rows = self.field.partials(which, [*self.field.state_names, *(inputs[i] for i in self._places)])
+        return [{places[k]: node for k, node in row.items()} for row in rows]
+
+    def lanes(self) -> tuple:
+        """All numbers that differ from lane to lane, lanes last."""
+        return list(self.columns), [x for x in self._once.values() if jnp.ndim(x)]
+
+    def of_lanes(self, numbers: tuple) -> "BoundField":
+        """The field of some of its lanes, from their share of `lanes()`; it has no start."""
+        part = copy.copy(self)
+        part.columns, varied = numbers[0], iter(numbers[1])
+        part._once = {node: next(varied) if jnp.ndim(x) else x for node, x in self._once.items()}
+        part.shape = part.columns[0].shape[-1:]
+        return part
+
+    def signals(self, t) -> list:
+        """What the signals are at time t."""
+        return self._signals.numbers(self.columns, t)
+
+    def start(self) -> tuple:
+        """The state at the start."""
+        return self._broadcast(evaluate(self.field.start, self._start_known))
+
+    def start_partials(self) -> list[dict[int, Any]]:
+        """For each state the derivatives of its start in the columns and, after them, in the signals."""
+        inputs = self.field.inputs()
+        rows = self.field.partials("start", [inputs[i] for i in self._places])
+        nodes = [node for row in rows for node in row.values()]
+        found = iter(self._broadcast(evaluate(nodes, self._start_known)))
+        return [{self._places[k]: next(found) for k in row} for row in rows]
+
+    def _broadcast(self, numbers) -> tuple:
+        return tuple(jnp.broadcast_to(x, self.shape) for x in numbers)
+
+    def _known(self, signals, state) -> dict:
+        return self._once | self.field.moving(signals, state)
+
+    def rates(self, signals, state: tuple) -> tuple:
+        """The rates of a state."""
+        return self._broadcast(evaluate(self.field.rates, self._known(signals, state)))
+
+    def outputs(self, signals, state: tuple):
+        """The wanted outputs in a state, shape (wanted, lanes)."""
+        return jnp.stack(self._broadcast(evaluate(self.field.outputs, self._known(signals, state))))
+
+    def rates_and_partials(self, signals, state: tuple) -> tuple[tuple, list[dict[int, Any]]]:
+        """The rates, and for each the derivatives in the states (0..) and in the inputs after them."""
+        return self._with_partials(self.field.rates, self.rate_partials, signals, state)
+
+    def outputs_and_partials(self, signals, state: tuple) -> tuple[tuple, list[dict[int, Any]]]:
+        """The outputs, and for each the derivatives in the states and in the inputs after them."""
+        return self._with_partials(self.field.outputs, self.output_partials, signals, state)
+
+    def _with_partials(self, nodes, rows, signals, state):
+        every = [*nodes, *(node for row in rows for node in row.values())]
+        found = self._broadcast(evaluate(every, self._known(signals, state)))
+        values, rest = tuple(found[: len(nodes)]), iter(found[len(nodes) :])
+        return values, [{k: next(rest) for k in row} for row in rows]
+
+    def rates_and_moving_partials(self, signals, state: tuple) -> tuple[tuple, tuple]:
+        """The rates, and those numbers of their partial derivatives that change in time; see `rate_rows`."""
+        found = self._broadcast(evaluate([*self.field.rates, *self.moving_partials], self._known(signals, state)))
+        return found[: self.field.size], found[self.field.size :]
+
+    @property
+    def moving_partials(self) -> list[Node]:
+        """Partial derivatives of the rates that change in time."""
+        return list(dict.fromkeys(n for row in self.rate_partials for n in row.values() if n.moving))
+
+    def rate_rows(self, moving: tuple) -> list[dict[int, Any]]:
+        """Partial derivatives of the rates from those numbers of them that change in time."""
+        known = self._once | dict(zip(self.moving_partials, moving, strict=True))
+        found = iter(evaluate([node for row in self.rate_partials for node in row.values()], known))
+        return [{k: next(found) for k in row} for row in self.rate_partials]
+
+    @property
+    def varies_signals(self) -> bool:
+        """Whether a column varies a signal."""
+        return bool(self._signals.columns)
+
+    def pushed(self, t) -> list[dict[int, Any]]:
+        """For each signal its derivatives in the columns that are differentiated."""
+        return self._signals.pushed(self.columns, t, self.differentiated)
+
+    def pulled(self, times, cotangents: Sequence) -> list:
+        """Cotangents of the columns from those of the signals at some times, (times, lanes) each."""
+        return self._signals.pulled(self.columns, times, cotangents)
+
+    def total(self, slopes: Sequence):
+        """The sum of a state's rates, each in units of its typical size, for every lane."""
+        terms = [f * (1.0 / scale) for f, scale in zip(slopes, self.field.scales, strict=True)]
+        total = terms[0]
+        for term in terms[1:]:
+            total = total + term
+        return total

@@ -1,0 +1,59 @@
+"""Outputs of an ensemble as a function of its columns that is differentiable in reverse."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+
+from jaxlines.simulation.bound_field import BoundField
+from jaxlines.simulation.ensemble_program import LaneProgram, lane_outputs as any_lane_outputs, small_field
+from jaxlines.simulation.lane_blocks import in_blocks
+from jaxlines.simulation.lockstep import explicit_interval, march
+from jaxlines.simulation.lockstep_adjoint import march_adjoint
+from jaxlines.simulation.plan import Values
+
+
+def lane_outputs(program: LaneProgram, values: Values, grid, steps: int) -> Callable:
+    """A function of the columns that gives outputs (samples, observed, lanes), differentiable in reverse."""
+    if not program.small or program.engine != "explicit":
+        return any_lane_outputs(program, values, grid, steps)
+
+    def bound(columns, partials=False):
+        return small_field(program, values, columns, grid[0, -1], partials)
+
+    @jax.custom_vjp
+    def outputs(columns):
+        field = bound(columns)
+        return march(field, explicit_interval, grid, steps, field.start(), jnp.zeros(field.shape, grid.dtype))[0]
+
+    def forward(columns):
+        states, shown = march_states(bound(columns), grid, steps)
+        return shown, (columns, states)
+
+    def backward(kept, given):
+        columns, states = kept
+        return (march_adjoint(bound(columns, True), grid, steps, states, given),)
+
+    outputs.defvjp(forward, backward)
+    return outputs
+
+
+class _Seen:
+    """A field with its states shown before its outputs."""
+
+    def __init__(self, field: BoundField):
+        self._field = field
+        self.signals, self.rates, self.total, self.shape = field.signals, field.rates, field.total, field.shape
+
+    def outputs(self, signals, state):
+        return state, self._field.outputs(signals, state)
+
+
+def march_states(field: BoundField, grid, steps):
+    """States at the samples, one array (samples, lanes) each, and the outputs (samples, observed, lanes)."""
+
+    def block(lanes, start):
+        seen = _Seen(field.of_lanes(lanes))
+        return march(seen, explicit_interval, grid, steps, start, jnp.zeros_like(start[0]))[0]
+
+    return in_blocks(block, field.lanes(), field.start())
