@@ -2,7 +2,7 @@
 
 import copy
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax.numpy as jnp
 
@@ -10,8 +10,8 @@ from jaxlines.simulation.evaluation import boundary, evaluate
 from jaxlines.simulation.lane_signals import LaneSignals
 from jaxlines.simulation.node import Node
 
-if TYPE_CHECKING:
-    from jaxlines.simulation.lane_field import LaneField
+LaneField = Any
+"""What is bound (`lane_field.LaneField`, which makes bound fields)."""
 
 
 class BoundField:
@@ -20,9 +20,7 @@ class BoundField:
     A state is a tuple of arrays (lanes,), in the order of `LaneField.state_names`.
     """
 
-    def __init__(
-        self, field: "LaneField", values, columns, known: dict, t, shape, partials: bool, differentiated: tuple
-    ):
+    def __init__(self, field: LaneField, values, columns, known: dict, t, shape, partials: bool, differentiated: tuple):
         self.field, self.columns, self.shape, self.differentiated = field, columns, shape, differentiated
         self._signals = LaneSignals(values, field.tags, len(columns))
         self._places = [i for i, name in enumerate(field.inputs()) if self._is_wanted(name)]
