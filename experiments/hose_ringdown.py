@@ -16,7 +16,7 @@ frequency, damping and relative numbers can be stated, never Pa, a bulk modulus 
 
 Answer on 333 runs of four units: RMSE median 0.36 % and 90th percentile 0.43 % of hold (one lump: 1.11 % and 1.30 %);
 runs of a unit that was not learnt from are predicted within 0.65 % (median) and 0.99 % (90th percentile). Modes at
-21.7 Hz (damping ratio 0.29) and 88.6 Hz (0.17). Left-out runs want neither air (on its bound in 298 runs) nor a
+21.7 Hz (damping ratio 0.29) and 88.6 Hz (0.17). Left-out runs want neither air (on its bound in 330 runs) nor a
 duration of their own for the stop; what is left over has a shape common to all runs (76 % of its mean square).
 """
 

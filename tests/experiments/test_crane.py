@@ -71,7 +71,7 @@ def computed_record(count: int) -> pd.DataFrame:
     return pd.DataFrame({"k": samples, "u_valve": valve, "p_oil": rows[:, 0], "x_crane": rows[:, 1]})
 
 
-def test_a_computed_crane_is_found_again_and_predicted(load):
+def test_a_computed_crane_is_found_again_and_predicted(load, tmp_path):
     """Starts are 30 and 40 % off; the smooth opening of the study's valve differs a little from the sharp one here."""
     record = computed_record(160)
     train, test = record[:110], record[110:].drop(columns="x_crane")
@@ -81,7 +81,7 @@ def test_a_computed_crane_is_found_again_and_predicted(load):
         jl.Free("hose.resistance", (1e7, 1e11), start=1.4 * RESISTANCE, transform="log"),
     ]
     study = load("crane_actuator").study
-    found = study(train, test, {"three numbers": free}, Console(file=io.StringIO()))
+    found = study(train, test, {"three numbers": free}, Console(file=io.StringIO()), tmp_path)
     truth = {"arm.mass": MASS, "fluid.bulk_modulus": MODULUS, "hose.resistance": RESISTANCE}
     for name, value in truth.items():
         assert found["parameters"][name]["value"] == pytest.approx(value, rel=0.05)
@@ -92,6 +92,19 @@ def test_a_computed_crane_is_found_again_and_predicted(load):
     spread = np.std(np.asarray(test["p_oil"]))
     assert found["test_rmse"] < 0.1 * spread
     assert found["validation_rmse"] < 0.1 * spread
+    assert found["at_bound"] == found["interval_reaches_a_bound"] == []
+    assert (tmp_path / found["figure"]).stat().st_size > 20_000
+
+
+def test_edges_open_at_rest_and_intervals_that_reach_a_bound_are_named(load):
+    """A lap of -0.1 and 0.4 more to full opening: a quarter open at a command of 0."""
+    study = load("crane_actuator")
+    rows = {"meter_in.lap": {"value": -0.1}, "meter_in.full": {"value": 0.4}}
+    rows |= {"meter_out.lap": {"value": 0.1}, "meter_out.full": {"value": 0.4}}
+    assert study.valve_at_rest(rows) == {"meter_in_open_at_rest": pytest.approx(0.25), "meter_out_open_at_rest": 0.0}
+    assert study._reaches({"ci95_moving_blocks": [1.0, 3.0], "bounds": [1.0, 9.0]})
+    assert study._reaches({"ci95_moving_blocks": [-0.2, 0.3], "bounds": [-0.5, 0.3]})
+    assert not study._reaches({"ci95_moving_blocks": [2.0, 3.0], "bounds": [1.0, 9.0]})
 
 
 def test_a_missing_record_or_column_is_named(load, tmp_path):
