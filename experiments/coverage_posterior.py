@@ -13,35 +13,62 @@ import argparse
 import sys
 import time
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from coverage_line import LABELS, NOISE_SD, Line, band, make_line, save, traced_pressure
+from coverage_batch import Lanes, make_lanes
+from coverage_line import LABELS, NOISE_SD, band, make_line, save
 
 from jaxlines.inference.calibration import calibrate, rank_of, thin
-from jaxlines.inference.density import make_density, with_slopes
+from jaxlines.inference.density import make_density
 from jaxlines.inference.posterior import run_chain, whitening
-from jaxlines.simulation.precision import computing_in
+from jaxlines.simulation.ensemble_program import chunk_tangent
+from jaxlines.simulation.precision import cast, computing_in
 
-SAMPLES = 61
+SAMPLES = 61  # any number will do: a posterior is as exact with few samples as with many
 NOISE_PRIOR = (0.0, 0.3)  # of the logarithm of the noise over 0.4 bar
 HALF_WIDTHS = np.array([8.0, 6.0, 4.0, 4.0])  # of the prior's box, in standard errors of the example
-WARMUP, DRAWS, THINNED, LANES = 200, 300, 49, 16
+WARMUP, DRAWS, THINNED, LANES = 200, 300, 49, 256
 
 
-def prior_box(line: Line, pressure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def prior_box(lanes: Lanes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Ends of the prior in coordinates, and the curvature of the likelihood at its middle."""
+    line = lanes.line
     middle = line.to_coordinates(line.truth)
-    slopes = np.asarray(jax.jit(jax.jacfwd(pressure))(middle)) / NOISE_SD
+    slopes = lanes.at(np.stack([middle, middle]))[1][0] / NOISE_SD
     curvature = slopes.T @ slopes
     sd = np.sqrt(np.diag(np.linalg.inv(curvature)))
     low = np.maximum(middle - HALF_WIDTHS * sd, line.lower)
     return low, np.minimum(middle + HALF_WIDTHS * sd, line.upper), curvature
 
 
-def make_sampler(pressure, low, high, curvature):
+def traced(lanes: Lanes) -> Callable:
+    """x -> pressure (samples,) and slopes by the coordinates (samples, 4), traceable; under vmap all lanes in step."""
+    program, line = lanes.program, lanes.line
+    logs = np.array([f.transform == "log" for f in line.free])
+    order = [[f.paths[0] for f in line.free].index(paths[0]) for paths in program.paths]
+    values, grid = cast((program.values, program.grid), "float64")
+
+    def together(x):
+        numbers = jnp.where(logs, jnp.exp(jnp.where(logs, x, 0.0)), x)
+        columns = tuple(numbers[:, i] for i in order)
+        outputs, slopes = chunk_tangent(program.program, values, columns, grid, program.steps)
+        back = jnp.moveaxis(slopes[:, np.argsort(order), 0], -1, 0)  # (points, samples, numbers)
+        return outputs[:, 0].T, back * jnp.where(logs, numbers, 1.0)[:, None]
+
+    @jax.custom_batching.custom_vmap
+    def one(x):
+        pressure, slopes = together(x[None])
+        return pressure[0], slopes[0]
+
+    one.def_vmap(lambda size, batched, x: (together(x), (True, True)))
+    return one
+
+
+def make_sampler(model: Callable, low, high, curvature):
     """A compiled function of data sets: keys, data, starts -> draws of x and ln s, log-likelihoods, divergences."""
     zero = np.zeros(SAMPLES, dtype=int)
     width = high - low
@@ -50,14 +77,17 @@ def make_sampler(pressure, low, high, curvature):
         return -0.5 * jnp.sum(rows**2) * jnp.exp(-2.0 * logs[0]) - rows.size * logs[0]
 
     def one(key, data, centre):
-        rows = lambda x: (pressure(x) - data) / NOISE_SD  # noqa: E731
-        density = make_density(with_slopes(rows), low, high, zero, zero, noise_prior=NOISE_PRIOR)
+        def both(x):
+            pressure, slopes = model(x)
+            return (pressure - data) / NOISE_SD, slopes / NOISE_SD
+
+        density = make_density(both, low, high, zero, zero, noise_prior=NOISE_PRIOR)
         root = jnp.asarray(_root(curvature, width))
         keys = jax.random.split(key)
         start = 0.3 * jax.random.normal(keys[0], centre.shape)
         u, _, divergent = run_chain(keys[1], lambda u: density.log_density(centre + root @ u), start, WARMUP, DRAWS, 6)
         x, logs = jax.vmap(lambda u: density.to_x(centre + root @ u))(u[:: DRAWS // (2 * THINNED)])
-        heights = jax.lax.map(lambda pair: log_likelihood(rows(pair[0]), pair[1]), (x, logs))
+        heights = jax.lax.map(lambda pair: log_likelihood(both(pair[0])[0], pair[1]), (x, logs))
         return x, logs, heights, divergent
 
     return jax.jit(jax.vmap(one))
@@ -79,12 +109,11 @@ def draw_truths(rng, count: int, low, high) -> tuple[np.ndarray, np.ndarray]:
 
 def study(count: int, seed: int, say) -> tuple[dict, np.ndarray, int, float]:
     """Ranks by quantity, hits of 95 % intervals (data sets, quantities), divergences, smallest spread of draws."""
-    rng, line = np.random.default_rng(seed), make_line(SAMPLES)
-    pressure = traced_pressure(line)
-    low, high, curvature = prior_box(line, pressure)
-    sampler, simulate = make_sampler(pressure, low, high, curvature), jax.jit(jax.vmap(pressure))
+    rng, lanes = np.random.default_rng(seed), make_lanes(make_line(SAMPLES))
+    low, high, curvature = prior_box(lanes)
+    sampler = make_sampler(traced(lanes), low, high, curvature)
     x, logs = draw_truths(rng, count, low, high)
-    exact = np.concatenate([np.asarray(simulate(x[i : i + LANES])) for i in range(0, count, LANES)])
+    exact = lanes.at(x)[0]
     unit = rng.standard_normal(exact.shape)
     data = exact + unit * NOISE_SD * np.exp(logs)[:, None]
     heights = -0.5 * np.sum(unit**2, axis=1) - SAMPLES * logs
@@ -92,11 +121,12 @@ def study(count: int, seed: int, say) -> tuple[dict, np.ndarray, int, float]:
     centres = np.concatenate([np.log(share / (1.0 - share)), logs[:, None]], axis=1)
     ranks = {name: np.zeros(count, dtype=int) for name in (*LABELS, "noise", "log-likelihood")}
     hits, divergences = np.zeros((count, len(ranks)), dtype=bool), 0
-    for first in range(0, count, LANES):
-        lanes = np.minimum(np.arange(first, first + LANES), count - 1)
-        keys = jax.random.split(jax.random.key(seed + first), LANES)
-        found = [np.asarray(a) for a in sampler(keys, data[lanes], centres[lanes])]
-        for k in range(min(LANES, count - first)):
+    size = min(LANES, count)
+    for first in range(0, count, size):
+        own = np.minimum(np.arange(first, first + size), count - 1)
+        keys = jax.random.split(jax.random.key(seed + first), size)
+        found = [np.asarray(a) for a in sampler(keys, data[own], centres[own])]
+        for k in range(min(size, count - first)):
             lane = first + k
             every = np.concatenate([found[0][k], found[1][k], found[2][k][:, None]], axis=1)
             truth = np.concatenate([x[lane], [logs[lane], heights[lane]]])
@@ -105,7 +135,7 @@ def study(count: int, seed: int, say) -> tuple[dict, np.ndarray, int, float]:
             for i, name in enumerate(ranks):
                 ranks[name][lane] = rank_of(truth[i], thin(every[:, i], THINNED))
             divergences += int(found[3][k].sum())
-        say(f"{min(first + LANES, count)} of {count} posteriors")
+        say(f"{min(first + size, count)} of {count} posteriors")
     return ranks, hits, divergences, float(np.min(high - low))
 
 
