@@ -97,6 +97,12 @@ def show_fit(
         for name, channel in fit.channels.items()
     ]
     show_sentences(console, "channels", channels)
+    show_sentences(console, "intervals", [fit.intervals] if fit.intervals else [])
+    show_sentences(console, "scatter between recordings", [own.sentence(name) for name, own in fit.scatter.items()])
+    show_sentences(console, "searches", _searches(fit))
+    show_sentences(console, "identifiability", [f"{n}: {c.kind}: {c.sentence}" for n, c in (classes or {}).items()])
+    if posterior is not None:
+        show_sentences(console, "posterior", _posterior(fit, posterior))
     show_sentences(console, "cannot be told apart", fit.identifiability)
     show_sentences(console, "rests on", fit.scale)
     show_sentences(console, "validity of the lumped model", fit.validity.sentences() if fit.validity else ())

@@ -18,6 +18,11 @@ STEEPEST = 4.0
 """Largest |artanh| of a partial autocorrelation: 0.9993."""
 
 
+LEAST_FREEDOM = 3.0
+"""Degrees of freedom at least: below, the approximation is too rough to be told, and intervals with this many hold just
+as often (94 to 97 % at a correlation of 0.9 with 121 samples, and of 0.98 with 601)."""
+
+
 class NoiseFit(NamedTuple):
     """Noise of all channels with the uncertainty of its own numbers.
 
@@ -47,7 +52,9 @@ class NoiseFit(NamedTuple):
             high, low = (np.asarray(variances(self.at(self.theta + sign * shift))) for sign in (1.0, -1.0))
             slopes.append(np.log(np.maximum(high, 1e-300) / np.maximum(low, 1e-300)) / (2.0 * step))
         slopes = np.stack(slopes)
-        return np.maximum(2.0 / np.maximum(np.einsum("ij,ik,kj->j", slopes, self.covariance, slopes), 1e-12), 1.0)
+        return np.maximum(
+            2.0 / np.maximum(np.einsum("ij,ik,kj->j", slopes, self.covariance, slopes), 1e-12), LEAST_FREEDOM
+        )
 
 
 def coefficients_of(partial) -> np.ndarray:

@@ -117,6 +117,7 @@ def make_estimate(parameter: Free, value: float, sd: float, unit: str, kind: str
     coordinate = parameter.to_coordinate(value)
     reach = float(student_factor(freedom)) * sd
     low, high = (float(parameter.to_value(coordinate + sign * reach)) for sign in (-1, 1))
+    low, high = max(low, parameter.bounds[0]), min(high, parameter.bounds[1])  # nothing outside was held possible
     return Estimate(value, float(parameter.slope(value)) * sd, (low, high), unit, kind)
 
 
