@@ -92,7 +92,8 @@ def test_the_source_archive_holds_tests_and_documents(built):
 
 def test_the_installed_package_is_imported_quickly_and_finds_its_files(installed):
     code = (
-        "import time, jaxlines; jaxlines.fit; took = time.process_time(); from jaxlines.edge.report_page import _environment; "
+        "import time, jaxlines; jaxlines.fit; took = time.process_time(); "
+        "from jaxlines.edge.report_page import _environment; "
         "[_environment().get_template(f'{name}report.html.jinja') for name in ('', 'sweep_')]; "
         "print(took, len(jaxlines.load_study('example:control-line').title), jaxlines.__file__)"
     )

@@ -104,7 +104,7 @@ def test_one_program_serves_all_values(drive):
     from jaxlines.simulation import steady as module
 
     steady_state(drive, {"spool": 0.1})
-    programs = getattr(module._solve, "_cache_size")  # noqa: B009
+    programs = getattr(module.solve_balance, "_cache_size")  # noqa: B009
     before = programs()
     steady_state(drive.replace({"motor.displacement": 1.2e-4}), {"spool": 0.4})
     assert programs() == before

@@ -1,6 +1,5 @@
 """A lane field with its numbers: rates, outputs and partial derivatives of many lanes inside a traced program."""
 
-import copy
 from collections.abc import Sequence
 from typing import Any
 
@@ -41,18 +40,6 @@ class BoundField:
         places = [*range(size), *(size + i for i in self._places)]
         rows = self.field.partials(which, [*self.field.state_names, *(inputs[i] for i in self._places)])
         return [{places[k]: node for k, node in row.items()} for row in rows]
-
-    def lanes(self) -> tuple:
-        """All numbers that differ from lane to lane, lanes last."""
-        return list(self.columns), [x for x in self._once.values() if jnp.ndim(x)]
-
-    def of_lanes(self, numbers: tuple) -> "BoundField":
-        """The field of some of its lanes, from their share of `lanes()`; it has no start."""
-        part = copy.copy(self)
-        part.columns, varied = numbers[0], iter(numbers[1])
-        part._once = {node: next(varied) if jnp.ndim(x) else x for node, x in self._once.items()}
-        part.shape = part.columns[0].shape[-1:]
-        return part
 
     def signals(self, t) -> list:
         """What the signals are at time t."""

@@ -1,45 +1,34 @@
 """Many variations of a circuit at once: `ensemble`, and `prepare_ensemble` for running a plan chunk by chunk."""
 
 import dataclasses
-import os
+import itertools
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import jax
 import numpy as np
 
-from jaxlines.simulation.assembly import compile_circuit, number_locations
-from jaxlines.simulation.circuit import Circuit
-from jaxlines.simulation.ensemble_columns import (
-    Varied,
-    as_slice,
-    check_shapes,
-    columns_of,
-    out_of_range,
-    places_of,
-    why_out_of_range,
+from jaxlines.simulation.chunks import (
+    FEWEST as FEWEST,
+    MOST_ON_GPU as MOST_ON_GPU,
+    checked_chunk,
+    cpu_chunk,
+    device_bytes,
+    devices,
+    gpu_chunk,
+    on_device,
+    workers as workers,
 )
-from jaxlines.simulation.ensemble_program import ChunkResult, LaneProgram, is_small, run_chunk
+from jaxlines.simulation.circuit import Circuit
+from jaxlines.simulation.ensemble_columns import Varied, as_slice, columns_of, out_of_range, places_of
+from jaxlines.simulation.ensemble_program import ChunkResult, LaneProgram, run_chunk
 from jaxlines.simulation.ensemble_result import LANE_STATUS, Audit, Ensemble
 from jaxlines.simulation.graded_steps import graded_grid, step_times
-from jaxlines.simulation.inputs import bind_inputs
-from jaxlines.simulation.integration import make_method
-from jaxlines.simulation.lane_field import special_numbers
-from jaxlines.simulation.lane_times import input_times, step_grid
+from jaxlines.simulation.implicit_programs import implicit_structure
 from jaxlines.simulation.plan import Values
 from jaxlines.simulation.precision import cast, computing_in
-from jaxlines.simulation.reductions import AbstractReduction
-from jaxlines.simulation.segments import choose_segments
-from jaxlines.simulation.simulate import checked_times, wanted_units
-
-CACHE_BYTES = 3_000_000
-"""Bytes of a chunk's arrays that should stay in the caches of a core."""
-
-FEWEST, MOST_ON_CPU, MOST_ON_GPU = 128, 8192, 131072
-"""Lanes of a chunk. They are multiples of 128, so that every lane is computed by the same vector instructions and
-results do not depend on the size of the chunk."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,28 +72,38 @@ class EnsembleProgram:
             "versions": {"jax": jax.__version__, "diffrax": diffrax.__version__, "numpy": np.__version__},
         }
 
+    @property
+    def num_steps(self) -> int:
+        """Steps over all times; 0 for the adaptive engine."""
+        if self.program.engine == "adaptive":
+            return 0
+        return self.steps * int(np.count_nonzero(np.diff(self.grid[1:], axis=1)))
+
+    def with_implicit_engine(self) -> "EnsembleProgram":
+        """The same lanes, steps and outputs by the implicit engine."""
+        if self.program.engine == "implicit":
+            return self
+        structure = implicit_structure(self.program, self.values, self.precision)
+        dense = structure.elimination.method == "dense"
+        return dataclasses.replace(self, program=self.program._replace(engine="implicit", dense=dense))
+
     def with_graded_steps(self, boundaries) -> "EnsembleProgram":
         """The program of the implicit engine with given boundaries of all its steps [s], shape (steps + 1,)."""
-        program = self.program._replace(engine="implicit")
         grid = graded_grid(self.times, boundaries)
-        return dataclasses.replace(self, program=program, grid=grid, steps=1, graded=True)
+        return dataclasses.replace(self.with_implicit_engine(), grid=grid, steps=1, graded=True)
 
     def chunk_lanes(self, lanes: int) -> int:
         """How many lanes are run at once."""
         if self.program.engine == "adaptive":
             return FEWEST
+        states, numbers = self._num_states(), sum(np.size(leaf) for leaf in jax.tree.leaves(self.values.kinds))
+        itemsize = np.dtype(self.precision).itemsize
         if jax.default_backend() != "cpu":
-            return min(MOST_ON_GPU, _power_of_two(lanes))
-        width = np.dtype(self.precision).itemsize * (
-            6 * self._num_states() + sum(np.size(leaf) for leaf in jax.tree.leaves(self.values.kinds))
-        )
-        fits = FEWEST * max(int(CACHE_BYTES / (FEWEST * width)), 1)
-        # Few sizes, so that programs serve other numbers of lanes too; the largest of those that are done first.
-        sizes = [size for k in range(7, 14) for size in (2**k, 3 * 2 ** (k - 1)) if not size % FEWEST]
-        sizes = [size for size in sizes if size <= min(fits, MOST_ON_CPU)] or [FEWEST]
-        if lanes >= 4 * sizes[-1] * workers():
-            return sizes[-1]
-        return min(reversed(sizes), key=lambda size: -(-lanes // (size * workers())) * size)
+            saved = len(self.times) * (len(self.program.observed) + len(self.program.kept))
+            return gpu_chunk(lanes, itemsize * (saved + 40 * states + numbers), device_bytes())
+        if not self.program.small and self.program.engine == "implicit":
+            return FEWEST  # more of them are not faster, and the audit has compiled for so many
+        return cpu_chunk(lanes, itemsize * (6 * states + numbers), workers())
 
     def _num_states(self) -> int:
         plan = self.program.plan
@@ -150,11 +149,12 @@ class EnsembleProgram:
         parts = [lanes[i : i + size] for i in range(0, lanes.size, size)]
         done = 0
 
-        def one(part: np.ndarray) -> None:
-            found.write(part, self.run_padded(columns, part, size, steps))
+        def one(part: np.ndarray, device) -> None:
+            with on_device(device):
+                found.write(part, self.run_padded(columns, part, size, steps))
 
         with ThreadPoolExecutor(min(workers(), len(parts))) as pool:
-            for part, _ in zip(parts, pool.map(one, parts), strict=True):
+            for part, _ in zip(parts, pool.map(one, parts, itertools.cycle(devices())), strict=True):
                 done += part.size
                 if progress:
                     progress(f"{done} of {lanes.size} lanes", done / lanes.size)
@@ -163,6 +163,7 @@ class EnsembleProgram:
         """Run lanes that are not exact enough, or not finite, with 4 and 16 times as many steps; flag the rest."""
         if self.program.engine == "adaptive":
             return
+        chunk = chunk or self.chunk_lanes(lanes.size)  # that of the first run, whose program is compiled
         for times_as_many in (4, 16):
             over = lanes[self._over(found.error[lanes])]
             if not over.size:
@@ -229,102 +230,3 @@ class _Found:
             description=program.description,
             seconds=seconds,
         )
-
-
-def workers() -> int:
-    """Threads that run chunks: one for each core that this process may use, or for each other device."""
-    if jax.default_backend() != "cpu":
-        return jax.local_device_count()
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
-
-
-def _power_of_two(count: int) -> int:
-    """The next power of two."""
-    return 1 << max(int(count) - 1, 0).bit_length()
-
-
-def checked_chunk(chunk: int) -> int:
-    """The size of a chunk. Raises: ValueError unless it is a multiple of 128."""
-    if chunk < FEWEST or chunk % FEWEST:
-        raise ValueError(f"chunk must be a multiple of {FEWEST} lanes, got {chunk}")
-    return int(chunk)
-
-
-def checked_reductions(reductions) -> dict[str, AbstractReduction]:
-    """Reductions by name. Raises: TypeError that shows how they are given."""
-    how = 'reductions must be by name, such as {"peak": Peak("A.pressure")}'
-    if reductions is not None and not isinstance(reductions, Mapping):
-        raise TypeError(f"{how}, got {reductions!r}")
-    for name, reduction in (reductions or {}).items():
-        if not isinstance(reduction, AbstractReduction):
-            raise TypeError(f"{how}, got {reduction!r} for {name!r}")
-    return dict(reductions or {})
-
-
-def make_program(
-    circuit: Circuit,
-    times,
-    varied: Varied,
-    inputs: dict | None,
-    initial: dict | None,
-    outputs: Iterable[str] | None,
-    reductions: Mapping[str, AbstractReduction] | None,
-    tolerance: float,
-    precision: str,
-    solver,
-    max_steps: int,
-) -> EnsembleProgram:
-    """A program without engine, steps and audit yet; see `prepare_ensemble`."""
-    times = np.asarray(checked_times(times))
-    if not 1e-12 <= tolerance <= 0.1:
-        raise ValueError(f"tolerance must be 1e-12..0.1 (a share of each output's magnitude), got {tolerance:g}")
-    if initial is not None and not isinstance(initial, dict):
-        raise ValueError(
-            f"initial must be a table of start values, got {initial!r}: every lane would have its own steady state; "
-            "let the inputs rest for a while before what you are after"
-        )
-    columns, reductions = columns_of(varied), checked_reductions(reductions)
-    with computing_in(precision):
-        bound = bind_inputs(circuit, inputs, times)
-        circuit = choose_segments(circuit, times, bound, initial=initial)
-        plan, values = compile_circuit(circuit, initial, bound)
-        places = places_of(varied, number_locations(plan, values))
-    check_shapes(values, places, columns)
-    if out_of_range(circuit, list(places), columns).all():
-        why = why_out_of_range(circuit, list(places), columns)
-        raise ValueError(f"no lane has all its varied numbers within their ranges: are they in SI? In lane 0, {why}")
-    shown = wanted_units(circuit, plan, [] if outputs is None and reductions else outputs)
-    needed = wanted_units(circuit, plan, [name for r in reductions.values() for name in r.outputs])
-    pressures = {f"{node}.pressure": "Pa" for node, domain in plan.free_nodes if domain == "hydraulic"}
-    units = shown | needed | pressures
-    observed = tuple(units)
-    taken = tuple(tuple(observed.index(n) for n in wanted_units(circuit, plan, r.outputs)) for r in reductions.values())
-    program = LaneProgram(
-        plan=plan,
-        observed=observed,
-        places=tuple(places.values()),
-        kept=tuple(observed.index(name) for name in shown),
-        reductions=tuple(reductions.values()),
-        taken=taken,
-        pressures=tuple(observed.index(name) for name in pressures),
-        engine="explicit",
-        small=is_small(plan, values),
-        method=make_method(solver, "forward", max_steps),
-        fixed=special_numbers(values, tuple(places.values())) if is_small(plan, values) else (),
-    )
-    grid = step_grid(times, input_times(values))
-    return EnsembleProgram(
-        circuit,
-        program,
-        tuple(places),
-        values,
-        times,
-        grid,
-        tuple(reductions),
-        units,
-        1,
-        tolerance,
-        precision,
-        None,
-        {},
-    )

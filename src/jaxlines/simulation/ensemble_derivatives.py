@@ -14,7 +14,7 @@ from jaxlines.simulation.ensemble_program import LaneProgram, chunk_tangent, com
 from jaxlines.simulation.lockstep_gradient import lane_outputs
 from jaxlines.simulation.precision import cast, computing_in
 
-DERIVATIVE_LANES = 4 * FEWEST
+DERIVATIVE_LANES = 2 * FEWEST
 """Lanes at once: the derivatives of so many stay in the caches of a core."""
 
 

@@ -7,25 +7,18 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from jaxlines.simulation.circuit import Circuit
-from jaxlines.simulation.ensemble import EnsembleProgram, make_program
+from jaxlines.simulation.ensemble import EnsembleProgram
 from jaxlines.simulation.ensemble_columns import Varied, columns_of, extreme_lanes, out_of_range
+from jaxlines.simulation.ensemble_making import make_program
 from jaxlines.simulation.ensemble_program import ENGINES
 from jaxlines.simulation.ensemble_result import Audit, Ensemble
-from jaxlines.simulation.ensemble_search import (
-    MOST_STEPS,
-    MOST_TRIALS,
-    SAFETY,
-    Pilot,
-    Say,
-    implicit_method,
-    lane_errors,
-    worst,
-)
+from jaxlines.simulation.ensemble_search import MOST_STEPS, MOST_TRIALS, Say, search
+from jaxlines.simulation.ensemble_trials import SAFETY, Pilot, implicit_method, lane_errors, worst
 from jaxlines.simulation.graded_steps import cut_times, step_times
 from jaxlines.simulation.reductions import AbstractReduction
 
-PILOT_LANES = 48
-"""Lanes of the pilot at most: the extremes of each varied number, and random ones."""
+PILOT_LANES = {True: 48, False: 24}
+"""Lanes of the pilot at most, of small circuits and of others: the extremes of each varied number, and random ones."""
 
 TIGHTEST = 1e-4
 """The adaptive solver's tolerance in the audit over that of a first audit, at least: it may be what is not exact."""
@@ -46,7 +39,7 @@ def _chosen(pilot: Pilot, engine: str, say: Say) -> EnsembleProgram:
         return adaptive
     if engine == "adaptive":
         return adaptive
-    found = pilot.search(("explicit", "implicit") if engine == "auto" else (engine,), say)
+    found = search(pilot, ("explicit", "implicit") if engine == "auto" else (engine,), say)
     if found is None and engine != "auto":
         most = f"{MOST_STEPS} steps between samples" if engine == "explicit" else f"{MOST_TRIALS} steps"
         raise ValueError(
@@ -75,29 +68,33 @@ def _audited(pilot: Pilot, lanes: np.ndarray, fixed: bool) -> tuple[EnsembleProg
     tighter = 1e-2 if engine == "adaptive" else 1.0
     exact = pilot.exact(program, lanes, tighter)
     while True:
-        found, estimate = pilot.run(program, 1, lanes)
+        found, estimate = pilot.as_run(program, lanes)
         errors = lane_errors(found, exact)
         known = np.isfinite(errors) & (estimate > 0.0)
         enough = not np.nanmax(errors, initial=0.0) > program.tolerance
         if fixed or engine == "adaptive" or enough or program.steps >= MOST_CUTS[engine]:
             break
-        agrees = worst(found, pilot.run(program, 2, lanes)[0]) <= program.tolerance / SAFETY
+        agrees = worst(found, pilot.run(program, 2, lanes).series) <= program.tolerance / SAFETY
         if agrees and tighter > TIGHTEST:  # with twice as many steps, so that the solver is what is not exact
             tighter *= 1e-2
             exact = pilot.exact(program, lanes, tighter)
         else:
             program = dataclasses.replace(program, steps=-(-3 * program.steps // 2))
-    factor = 1.0
-    if engine != "adaptive":
-        coarse, pilot_estimate = pilot.run(program)
-        every = np.append(errors[known], lane_errors(coarse, pilot.run(program, 2)[0]))
-        estimates = np.append(estimate[known], pilot_estimate)[np.isfinite(every)]
-        factor = float(np.max(every[np.isfinite(every)], initial=0.0) / np.max(estimates, initial=1e-300)) or 1.0
+    factor = 1.0 if engine == "adaptive" else _factor(pilot, program, errors[known], estimate[known])
     if program.graded and program.steps > 1:
         program = program.with_graded_steps(cut_times(step_times(program.grid), program.steps))
     rms = np.sqrt(np.nanmean((found - exact) ** 2, axis=(0, 2)))
-    named = dict(zip(program.program.observed, map(float, rms), strict=True))
+    names = [program.program.observed[i] for i in program.program.wanted]
+    named = dict(zip(names, map(float, rms), strict=True))
     return program, Audit(lanes, program.tolerance, float(np.nanmax(errors, initial=0.0)), named, factor)
+
+
+def _factor(pilot: Pilot, program: EnsembleProgram, errors: np.ndarray, estimates: np.ndarray) -> float:
+    """The largest error over the largest estimate, of the audited lanes and of the pilot's."""
+    coarse, pilot_estimate = pilot.run(program)
+    every = np.append(errors, lane_errors(coarse, pilot.truth(program)))
+    estimates = np.append(estimates, pilot_estimate)[np.isfinite(every)]
+    return float(np.max(every[np.isfinite(every)], initial=0.0) / np.max(estimates, initial=1e-300)) or 1.0
 
 
 def prepare_ensemble(
@@ -135,7 +132,7 @@ def prepare_ensemble(
     columns = columns_of(varied)
     good = np.flatnonzero(~out_of_range(program.circuit, list(program.paths), columns))
     columns = [column[..., good] for column in columns]
-    pilot = Pilot(program, columns, extreme_lanes(columns, min(PILOT_LANES, good.size), seed))
+    pilot = Pilot(program, columns, extreme_lanes(columns, min(PILOT_LANES[program.program.small], good.size), seed))
     program = _chosen(pilot, engine, say) if steps is None else _given(program, engine, steps)
     if program.program.engine == "adaptive" and solver is None and can_run_in_step(program):
         # The lockstep engines were not exact enough, most likely since the circuit is stiff.

@@ -1,6 +1,5 @@
 """The compiled program of an ensemble: a chunk of lanes from its numbers to its results."""
 
-import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -9,6 +8,7 @@ import numpy as np
 
 from jaxlines.simulation.assembly import Location, set_numbers
 from jaxlines.simulation.block_field import BlockField
+from jaxlines.simulation.compiled_programs import compiled as compiled
 from jaxlines.simulation.integration import Method, integrate
 from jaxlines.simulation.lane_field import BoundField, LaneField
 from jaxlines.simulation.lockstep import explicit_interval, march
@@ -17,7 +17,7 @@ from jaxlines.simulation.lockstep_tangent import march_tangent
 from jaxlines.simulation.plan import Plan, Values
 from jaxlines.simulation.reductions import AbstractReduction
 from jaxlines.simulation.result import STATUS
-from jaxlines.simulation.rosenbrock import integrate as integrate_stiff, relative_error, step
+from jaxlines.simulation.rosenbrock import integrate as integrate_stiff
 
 ENGINES = ("explicit", "implicit", "adaptive")
 
@@ -31,7 +31,8 @@ class LaneProgram(NamedTuple):
     Fields: plan; observed: names of all that is looked at; places: for each varied number where it is; kept: which
     of the observed are returned as series; reductions, and for each which of the observed it takes; pressures:
     which of the observed are pressures of free nodes; engine: one of `ENGINES`; small: whether every number
-    is a lane array of its own; method: of the adaptive engine; fixed: see `special_numbers`.
+    is a lane array of its own; method: of the adaptive engine; fixed: see `special_numbers`; dense: whether the
+    implicit engine solves with dense matrices.
     """
 
     plan: Plan
@@ -45,6 +46,12 @@ class LaneProgram(NamedTuple):
     small: bool
     method: Method
     fixed: tuple[tuple[int, int, float], ...] = ()
+    dense: bool = False
+
+    @property
+    def wanted(self) -> tuple[int, ...]:
+        """Which of the observed somebody asked for: they are returned, or reduced."""
+        return tuple(sorted({*self.kept, *(i for taken in self.taken for i in taken)}))
 
 
 class ChunkResult(NamedTuple):
@@ -83,7 +90,7 @@ def small_field(
 
 def field_of(program: LaneProgram, values: Values, columns, t) -> BoundField | BlockField:
     """The vector field of the lanes."""
-    return (small_field if program.small else _blocks)(program, values, columns, t)
+    return (small_field if program.small else block_field)(program, values, columns, t)
 
 
 def _marched(program: LaneProgram, values: Values, columns, grid, steps):
@@ -94,7 +101,7 @@ def _marched(program: LaneProgram, values: Values, columns, grid, steps):
     return march(field, explicit_interval, grid, steps, field.start(), jnp.zeros(field.shape, grid.dtype))
 
 
-def _blocks(program: LaneProgram, values: Values, columns, t) -> BlockField:
+def block_field(program: LaneProgram, values: Values, columns, t) -> BlockField:
     """The field of the implicit engine, whatever the size of the circuit."""
     return BlockField(program.plan, values, program.places, program.observed, columns, t)
 
@@ -102,7 +109,7 @@ def _blocks(program: LaneProgram, values: Values, columns, t) -> BlockField:
 def _marched_implicitly(program: LaneProgram, values: Values, columns, grid, cuts):
     """Outputs (samples, observed, lanes) and error estimates; cuts: equal parts of each step of the grid."""
     begin = grid[0, -1]
-    field = _blocks(program, values, columns, begin)
+    field = block_field(program, values, columns, begin)
     held, rate = field.implicit(begin)
 
     def show(t, state):
@@ -111,21 +118,6 @@ def _marched_implicitly(program: LaneProgram, values: Values, columns, grid, cut
     start = field.tree(field.start())
     shown, error = integrate_stiff(program.plan, held, grid[1:], start, rate, show, cuts)
     return jnp.concatenate([show(begin, start)[None], shown]), error
-
-
-def implicit_start(program: LaneProgram, values: Values, columns, t):
-    """The state of lanes at the start [s], (potentials, states), lanes last."""
-    field = _blocks(program, values, columns, t)
-    return field.tree(field.start())
-
-
-def implicit_trial(program: LaneProgram, values: Values, columns, t, h, state):
-    """The state of lanes after a step of the implicit engine from t to t + h [s], and the largest relative error
-    estimate of all lanes; infinite where one is not finite. See `graded_steps`."""
-    held, rate = _blocks(program, values, columns, t).implicit(t)
-    new, error = step(program.plan, held, t, h, state, rate)
-    size = relative_error(program.plan, new, error)
-    return new, jnp.max(jnp.where(jnp.isfinite(size), size, jnp.inf))
 
 
 def _adapted(program: LaneProgram, values: Values, columns, times, tolerance):
@@ -175,16 +167,6 @@ def _chunk(program: LaneProgram, values: Values, columns, grid, steps, tolerance
 def run_chunk(program: LaneProgram, values: Values, columns, grid, steps, tolerance) -> ChunkResult:
     """The results of a chunk of lanes; compiled once for each program and size of chunk."""
     return compiled(_chunk)(program, values, columns, grid, steps, tolerance)
-
-
-@functools.cache
-def compiled(function, static: tuple[int, ...] = (0,)):
-    """A function of lanes as a program of its own, for the widest vector instructions of the processor.
-
-    XLA prefers 256 bits on processors that have 512; on others the option changes nothing.
-    """
-    options = {"xla_cpu_prefer_vector_width": "512"} if jax.default_backend() == "cpu" else None
-    return jax.jit(function, static_argnums=static, compiler_options=options)
 
 
 def chunk_tangent(program: LaneProgram, values: Values, columns, grid, steps, differentiated=None):

@@ -1,187 +1,154 @@
-"""The search of an ensemble's engine and steps: some lanes run in different ways, the cheapest first."""
+"""The search of an ensemble's engine and steps: what is cheapest of what is exact enough for some of its lanes.
+
+Both engines have a ladder of efforts. The one whose next rung costs least is tried first; its error tells the rung
+after that, up or down, until nothing is left that could be cheaper than the best so far.
+"""
 
 import dataclasses
 import math
-from collections.abc import Callable, Generator, Iterable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from jaxlines.simulation.ensemble import FEWEST, EnsembleProgram
-from jaxlines.simulation.ensemble_program import compiled, implicit_start, implicit_trial
-from jaxlines.simulation.graded_steps import graded_steps
-from jaxlines.simulation.precision import cast, computing_in
-from jaxlines.simulation.result import STATUS
+from jaxlines.simulation.ensemble import EnsembleProgram
+from jaxlines.simulation.ensemble_trials import Pilot
+from jaxlines.simulation.implicit_programs import implicit_structure
 
 MOST_STEPS = 512
 """Steps of the explicit engine between stops beyond which it is given up."""
 
-MOST_TRIALS, MOST_GRADINGS = 6000, 6
-"""Steps that the pilot of the implicit engine tries, and for how many tolerances, before that is given up."""
+MOST_TRIALS = 6000
+"""Steps that the pilot of the implicit engine tries for a tolerance before that is given up."""
 
-IMPLICIT_COST = {True: 10.0, False: 5.0}
-"""Time of an implicit step over that of an explicit one, for small circuits and for others (measured, roughly)."""
+MOST_RUNGS = 8
+"""Efforts of an engine that are tried."""
 
-SAFETY = 2.0
-"""The pilot asks for an error that is smaller by this factor, since it sees some lanes only."""
+WILD, CHEAP = 1e3, 8
+"""Error over what it should be beyond which steps are taken to be too long to be stable; and steps up to which more are
+just tried in small circuits, which takes less than a look at their Jacobians."""
+
+SMALL_COST, BLOCK_COST, DENSE_COST = 30.0, 4.5, 0.005
+"""Time of an implicit step over that of an explicit one: for small circuits, whose explicit steps have every number an
+array of its own; for others; and what dense matrices add for every square of a number of states (measured)."""
 
 Say = Callable[[str, float], None]
 
 
-class Candidate(NamedTuple):
-    """A program to be tried, and what it costs: explicit steps, or as many as take as long, over all times."""
-
-    program: EnsembleProgram
-    cost: float
-
-
-Ladder = Generator[Candidate, float, None]
-"""Candidates that cost more and more; each is sent the error of the last over what it should be."""
+def implicit_cost(program: EnsembleProgram) -> float:
+    """Time of an implicit step over that of an explicit one."""
+    if program.program.small:
+        return SMALL_COST
+    structure = implicit_structure(program.program, program.values, "float64")
+    dense = structure.elimination.method == "dense"
+    return BLOCK_COST + (DENSE_COST * len(structure.colour) ** 2 if dense else 0.0)
 
 
-@dataclasses.dataclass(frozen=True)
-class Pilot:
-    """Some lanes of an ensemble, to be run in different ways."""
+class ExplicitLadder:
+    """The explicit engine with different numbers of equal steps between stops."""
 
-    program: EnsembleProgram
-    columns: list[np.ndarray]
-    lanes: np.ndarray
-
-    def run(self, program: EnsembleProgram, cuts: int = 1, lanes: np.ndarray | None = None) -> tuple[Any, Any]:
-        """All observed outputs (samples, observed, lanes), NaN for failed lanes, and error estimates.
-
-        cuts: equal parts of each of the program's steps.
-        """
-        every = tuple(range(len(program.program.observed)))
-        whole = program.program._replace(kept=every, reductions=(), taken=())
-        lanes = self.lanes if lanes is None else lanes
-        # Large circuits take longer to run than to compile once more for few lanes.
-        size = FEWEST if whole.small and whole.engine != "adaptive" else len(lanes)
-        found = program.run_padded(self.columns, lanes, size, cuts * program.steps, whole)
-        good = np.isin(found.status, [STATUS["ok"], STATUS["tension"]])
-        return np.where(good, found.series, np.nan), found.estimate
-
-    def exact(self, program: EnsembleProgram, lanes: np.ndarray, tighter: float = 1.0) -> np.ndarray:
-        """The outputs of some lanes by the adaptive solver at a hundredth of the tolerance times `tighter`.
-
-        Where the program's engine is implicit, an implicit solver; but for large circuits, whose dense Jacobians take
-        it seconds a lane, the explicit one first.
-        """
-        given, tolerance = program.program.method, tighter * self.program.tolerance
-        methods = [given]
-        if program.program.engine == "implicit":
-            methods = [implicit_method(given)] if program.program.small else [given, implicit_method(given)]
-        for method in methods:
-            adaptive = program.program._replace(engine="adaptive", method=method)
-            shown = self.run(dataclasses.replace(self.program, program=adaptive, tolerance=tolerance), 1, lanes)[0]
-            if np.isfinite(shown).all(axis=(0, 1)).any():
-                break
-        return shown  # pyright: ignore[reportPossiblyUnbound]
-
-    def explicit(self) -> Ladder:
-        """The explicit engine with more and more steps, as a method of fourth order needs them for its last error."""
-        program, steps = self.program.program._replace(engine="explicit"), 1
-        while steps <= MOST_STEPS:
-            candidate = dataclasses.replace(self.program, program=program, steps=steps)
-            over = yield Candidate(candidate, float(steps * self.pieces))
-            steps = math.ceil(steps * (min(max(over**0.25, 1.25), 4.0) if np.isfinite(over) else 2.0))
-
-    def implicit(self) -> Ladder:
-        """The implicit engine with graded steps that are shorter and shorter; none when a lane fails however short."""
-        tolerance, cost = self.program.tolerance, IMPLICIT_COST[self.program.program.small]
-        for _ in range(MOST_GRADINGS):
-            try:
-                boundaries = self.graded(tolerance)
-            except RuntimeError:
-                return
-            over = yield Candidate(self.program.with_graded_steps(boundaries), cost * (len(boundaries) - 1))
-            tolerance /= min(max(2.0 * over, 3.0), 100.0)
-
-    def graded(self, tolerance: float) -> np.ndarray:
-        """Boundaries of the steps [s] that all lanes together need for an error estimate of each step.
-
-        In double precision, whatever the program's is: the estimates of short steps would be lost in roundings.
-        Raises: RuntimeError as `graded_steps`.
-        """
-        made = self.program
-        with computing_in("float64"):
-            columns = tuple(np.ascontiguousarray(column[..., self.lanes]) for column in self.columns)
-            data = cast((made.values, columns), "float64")
-            program, begin = made.program._replace(engine="implicit", kept=(), reductions=(), taken=()), made.times[0]
-            start = compiled(implicit_start)(program, *data, begin)
-
-            def trial(t, h, state):
-                return compiled(implicit_trial)(program, *data, t, h, state)
-
-            stops = made.grid[1:].ravel()
-            return graded_steps(trial, made.times, start, tolerance, knots=stops, max_steps=MOST_TRIALS).times
-
-    def search(self, engines: Iterable[str], say: Say) -> EnsembleProgram | None:
-        """The program of the cheapest engine and steps that are exact enough; None if there is none.
-
-        Tried in order of cost; the error is told from twice as many steps.
-        """
-        floors = {"explicit": 1.0, "implicit": IMPLICIT_COST[self.program.program.small]}
-        ladders = {engine: getattr(self, engine)() for engine in engines}
-        costs: dict[str, float] = {engine: floors[engine] * self.pieces for engine in engines}
-        over, ready, tried = dict.fromkeys(engines), {}, 0
-        while costs:
-            engine = min(costs, key=lambda e: costs[e])
-            if engine not in ready:
-                try:
-                    ready[engine], costs[engine] = ladders[engine].send(over[engine])
-                except StopIteration:
-                    del costs[engine]
-                continue
-            program, tried = ready.pop(engine), tried + 1
-            say(f"pilot: {engine} engine, {program.description['steps']} steps", min(0.05 * (1 + tried), 0.5))
-            found, over[engine] = self.enough(program)
-            if found is not None:
-                return found
-            costs[engine] *= 1.25  # what comes next takes more than that
-        return None
+    def __init__(self, pilot: Pilot):
+        self._pilot, self._bad, self._good, self._steps = pilot, 0, MOST_STEPS + 1, 1
+        self._stable = 0
 
     @property
-    def pieces(self) -> int:
-        """Intervals between stops, over all times."""
-        return int(np.count_nonzero(np.diff(self.program.grid[1:], axis=1)))
+    def cost(self) -> float:
+        """Of the next rung: explicit steps over all times; infinite when there is none."""
+        return float(self._steps * self._pilot.pieces) if self._bad < self._steps < self._good else math.inf
 
-    def enough(self, program: EnsembleProgram) -> tuple[EnsembleProgram | None, float]:
-        """The program if it is exact enough, with three quarters of its equal steps if these are, else None; and its
-        error over what it should be."""
-        wanted, found = self.program.tolerance / SAFETY, self.run(program)[0]
-        if not np.isfinite(found).all(axis=(0, 1)).mean() > 0.5:
-            return None, np.inf  # twice as many steps would not tell more
-        exact = self.run(program, 2)[0]
-        over = worst(found, exact) / wanted
-        if not over <= 1.0:
-            return None, over
-        if not program.graded and program.steps >= 4:
-            fewer = dataclasses.replace(program, steps=3 * program.steps // 4)
-            if worst(self.run(fewer)[0], exact) <= wanted:
-                return fewer, over
-        return program, over
+    def candidate(self, most: float) -> tuple[EnsembleProgram, float]:
+        """The next rung, and what it costs."""
+        program = self._pilot.program
+        program = dataclasses.replace(program, program=program.program._replace(engine="explicit"), steps=self._steps)
+        return program, self.cost
 
-
-def implicit_method(method):
-    """The method with an implicit solver."""
-    from jaxlines.simulation.integration import implicit
-
-    return method._replace(solver=implicit())
-
-
-def lane_errors(found: np.ndarray, exact: np.ndarray) -> np.ndarray:
-    """Largest error of any output at any time as a share of its largest magnitude, (lanes,); infinite for a lane
-    that failed where the exact one did not, NaN where the exact one failed."""
-    size = np.nanmax(np.abs(np.where(np.isfinite(exact), exact, np.nan)), axis=(0, 2), initial=0.0)
-    scaled = np.abs(found - exact) / np.where(size > 0.0, size, np.inf)[:, None]
-    failed = ~np.isfinite(exact).all(axis=(0, 1))
-    return np.where(failed, np.nan, np.where(np.isfinite(scaled), scaled, np.inf).max(axis=(0, 1)))
+    def learn(self, over: float) -> None:
+        """Choose the rung after one whose error over what it should be is known."""
+        n = self._steps
+        factor = max(1.3 * over, 1e-3) ** 0.25 if over <= WILD else math.inf  # a method of fourth order
+        if over <= 1.0:
+            self._good = n
+            self._steps = max(math.floor(n * max(factor, 0.6)), (self._bad + n) // 2)
+            if self._steps > 0.85 * n and n > 3:
+                self._steps = n  # not worth another run
+            return
+        self._bad = n
+        if over > WILD and not (self._pilot.program.program.small and n < CHEAP):
+            self._stable = self._pilot.stable_steps(MOST_STEPS + 1)
+        least = max(n + 1, min(math.ceil(1.15 * n), n + 8), self._stable)
+        wanted = math.ceil(n * (min(factor, 4.0) if over <= WILD else 1.3 if self._stable else 2.0))
+        self._steps = max(least, wanted)
+        if self._good <= MOST_STEPS:
+            self._steps = min(self._steps, (n + self._good) // 2) if self._good - n > max(1, 0.15 * n) else self._good
 
 
-def worst(found: np.ndarray, exact: np.ndarray) -> float:
-    """The largest of `lane_errors`; infinite when more than half of the lanes failed."""
-    errors = lane_errors(found, exact)
-    if np.isnan(errors).mean() > 0.5:
-        return np.inf
-    return float(np.nanmax(errors))
+class ImplicitLadder:
+    """The implicit engine with steps graded for different tolerances of a step."""
+
+    def __init__(self, pilot: Pilot):
+        self._pilot, self._ratio = pilot, SMALL_COST if pilot.program.program.small else BLOCK_COST
+        self._tolerance: float | None = 3.0 * pilot.program.tolerance
+        self._bad, self._good = math.inf, 0.0
+        self._expected = float(pilot.pieces)
+
+    @property
+    def cost(self) -> float:
+        """Of the next rung, as far as it can be told: explicit steps that take as long; infinite when there is none."""
+        return math.inf if self._tolerance is None else self._ratio * self._expected
+
+    def candidate(self, most: float) -> tuple[EnsembleProgram, float] | None:
+        """The next rung, and what it costs; None when a lane fails or it would cost more than `most`."""
+        assert self._tolerance is not None
+        self._ratio = implicit_cost(self._pilot.program)
+        trials = int(min(MOST_TRIALS, 1.3 * most / self._ratio + 10))
+        try:
+            program = self._pilot.graded(self._tolerance, trials)
+        except RuntimeError:
+            self._tolerance = None
+            return None
+        self._expected = float(program.num_steps)
+        return program, self.cost
+
+    def learn(self, over: float) -> None:
+        """Choose the rung after one whose error over what it should be is known."""
+        assert self._tolerance is not None
+        now = self._tolerance
+        if over <= 1.0:
+            self._good = max(self._good, now)
+            new = now * min(1.0 / max(1.5 * over, 1e-9), 50.0)
+        else:
+            self._bad = min(self._bad, now)
+            new = now / (min(max(2.0 * over, 3.0), 100.0) if np.isfinite(over) else 10.0)
+        if self._good > 0.0 and not self._good < new < self._bad:
+            new = math.sqrt(self._good * self._bad) if np.isfinite(self._bad) else self._good
+        if self._good > 0.0 and new < 2.0 * self._good:  # fewer than a sixth of the steps would be saved
+            self._tolerance = None
+            return
+        # Error estimates of steps go with the fourth power of their length.
+        self._expected *= (now / new) ** 0.25
+        self._tolerance = new
+
+
+def search(pilot: Pilot, engines: Iterable[str], say: Say) -> EnsembleProgram | None:
+    """The program of the cheapest engine and steps that are exact enough; None if there is none."""
+    kinds = {"explicit": ExplicitLadder, "implicit": ImplicitLadder}
+    ladders = {engine: kinds[engine](pilot) for engine in engines}
+    rungs, best, least = dict.fromkeys(ladders, 0), None, math.inf
+    while True:
+        left = {e: ladder.cost for e, ladder in ladders.items() if ladder.cost < least and rungs[e] < MOST_RUNGS}
+        if not left:
+            return best
+        engine = min(left, key=lambda e: left[e])
+        say(f"pilot: {engine} engine", min(0.05 * (1 + sum(rungs.values())), 0.5))
+        rungs[engine] += 1
+        tried = ladders[engine].candidate(least)
+        if tried is None:
+            continue
+        program, cost = tried
+        if cost >= least:
+            del ladders[engine]
+            continue
+        over = pilot.error(program)
+        say(f"pilot: {engine} engine, {program.description['steps']} steps: {over:.2g} of the error allowed", 0.5)
+        if over <= 1.0:
+            best, least = program, cost
+        ladders[engine].learn(over)

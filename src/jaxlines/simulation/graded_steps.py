@@ -37,10 +37,10 @@ class Steps(NamedTuple):
 
 @functools.partial(jax.jit, static_argnums=0)
 def _trial(plan: Plan, values: Values, t, h, state):
-    """A step and the largest relative error of all lanes; infinite where one is not finite."""
+    """A step and the relative error of each lane; infinite where it is not finite."""
     new, error = step(plan, values, t, h, state)
     size = relative_error(plan, new, error)
-    return new, jnp.max(jnp.where(jnp.isfinite(size), size, jnp.inf))
+    return new, jnp.where(jnp.isfinite(size), size, jnp.inf)
 
 
 def trial_of(plan: Plan, values: Values) -> Callable:
@@ -48,13 +48,16 @@ def trial_of(plan: Plan, values: Values) -> Callable:
     return functools.partial(_trial, plan, values)
 
 
-def graded_steps(trial: Callable, times, start, tolerance: float, *, knots=(), max_steps: int = 100_000) -> Steps:
+def graded_steps(
+    trial: Callable, times, start, tolerance: float, *, knots=(), max_steps: int = 100_000, seen: Callable | None = None
+) -> Steps:
     """The steps that some lanes need together; runs on the host, outside of traced code.
 
-    Args: trial(t, h, state): gives the state after a step and the largest error estimate of all lanes, infinite where
-        one fails, see `trial_of`; times: of the samples [s], increasing; start: state of the pilot's lanes;
+    Args: trial(t, h, state): gives the state after a step and the error estimate of each lane, infinite where it fails,
+        see `trial_of`; times: of the samples [s], increasing; start: state of the pilot's lanes;
         tolerance: largest error estimate of a step, relative to each state plus its typical size; knots: further times
-        at which steps end, as the jumps and kinks of inputs [s]; max_steps: of the pilot, rejected ones included.
+        at which steps end, as the jumps and kinks of inputs [s]; max_steps: of the pilot, rejected ones included;
+        seen(t, state, error): called with what every step that is taken leaves.
     Returns: steps that end on all samples and knots.
     Raises: RuntimeError when a lane fails however short the step, or when max_steps are not enough.
     Validity: of the lanes it was made for. Others are as accurate where they move no faster; each lane's own error
@@ -70,10 +73,12 @@ def graded_steps(trial: Callable, times, start, tolerance: float, *, knots=(), m
             left = stop - taken[-1]
             part = left if h >= left else min(h, 0.5 * left)  # two equal steps rather than a long and a tiny one
             new, error = trial(taken[-1], part, state)
-            tried, worse = tried + 1, float(error) / tolerance
+            tried, worse = tried + 1, float(np.max(error)) / tolerance
             if worse <= 1.0:
                 state = new
                 taken.append(stop if part == left else taken[-1] + part)
+                if seen is not None:
+                    seen(taken[-1], new, error)
             h = part * min(max(0.9 * max(worse, 1e-8) ** (-1.0 / ORDER), 0.2), 5.0)
             if h < shortest or tried >= max_steps:
                 raise RuntimeError(

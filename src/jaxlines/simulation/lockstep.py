@@ -14,9 +14,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlines.simulation.bound_field import BoundField
-from jaxlines.simulation.lane_blocks import in_blocks
-
 DECAY = np.array(
     [
         0.0,
@@ -150,17 +147,6 @@ def march(field, interval, grid, steps, start: tuple, error):
     start: the state at grid[0, -1]; error: zero for each lane.
     Returns: outputs (samples, wanted, lanes), the error estimates (lanes,).
     """
-    if not isinstance(field, BoundField):
-        return _marched(field, interval, grid, steps, start, error)
-
-    def block(lanes, start, error):
-        return _marched(field.of_lanes(lanes), interval, grid, steps, start, error)
-
-    return in_blocks(block, field.lanes(), start, error)
-
-
-def _marched(field, interval, grid, steps, start: tuple, error):
-    """The same for all lanes at once."""
 
     def between(marched: Marched, ends):
         for_piece = lambda marched, piece: (interval(field, piece[0], piece[1], steps, marched), None)  # noqa: E731

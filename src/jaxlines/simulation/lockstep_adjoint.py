@@ -12,11 +12,10 @@ import jax
 import jax.numpy as jnp
 
 from jaxlines.simulation.bound_field import BoundField
-from jaxlines.simulation.lane_blocks import BLOCK_BYTES, in_blocks
 from jaxlines.simulation.lockstep import DECAY, Marched, coefficients, explicit_interval
 
-KEPT_BYTES = 400_000
-"""Bytes of partial derivatives that are kept at once for a block of lanes: they stay in the second-level cache."""
+KEPT_BYTES = 16_000_000
+"""Bytes of partial derivatives that are kept at once where that is more than one step."""
 
 
 class Cotangents(NamedTuple):
@@ -92,7 +91,8 @@ def _back(field: BoundField, step, stages: tuple, moving: tuple, after: Cotangen
 
 def _steps_at_once(field: BoundField, steps: int) -> int:
     """How many steps keep their partial derivatives at once: a divisor of the steps of an interval."""
-    least = BLOCK_BYTES * len(DECAY) * max(len(field.moving_partials), 1)
+    width = field.columns[0].dtype.itemsize * field.shape[-1]
+    least = width * len(DECAY) * max(len(field.moving_partials), 1)
     return max(n for n in range(1, steps + 1) if steps % n == 0 and (n == 1 or n * least <= KEPT_BYTES))
 
 
@@ -155,10 +155,7 @@ def march_adjoint(field: BoundField, grid, steps: int, states: tuple, given) -> 
     (samples, lanes) each; given: cotangents of the outputs (samples, wanted, lanes).
     """
 
-    def block(lanes, states, given):
-        return _marched_back(field.of_lanes(lanes), grid, steps, states, given)
-
-    found = in_blocks(block, field.lanes(), states, given)
+    found = _marched_back(field, grid, steps, states, given)
     rows = [{k + field.field.size: v for k, v in row.items()} for row in field.start_partials()]
     found = _spread(field, rows, found.state, _without_signals(field, found.state, found.columns))
     return _pulled(field, grid[:1, -1], found, tuple(s[None] for s in found.signals)).columns

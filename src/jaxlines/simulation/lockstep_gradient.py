@@ -7,7 +7,6 @@ import jax.numpy as jnp
 
 from jaxlines.simulation.bound_field import BoundField
 from jaxlines.simulation.ensemble_program import LaneProgram, lane_outputs as any_lane_outputs, small_field
-from jaxlines.simulation.lane_blocks import in_blocks
 from jaxlines.simulation.lockstep import explicit_interval, march
 from jaxlines.simulation.lockstep_adjoint import march_adjoint
 from jaxlines.simulation.plan import Values
@@ -51,9 +50,5 @@ class _Seen:
 
 def march_states(field: BoundField, grid, steps):
     """States at the samples, one array (samples, lanes) each, and the outputs (samples, observed, lanes)."""
-
-    def block(lanes, start):
-        seen = _Seen(field.of_lanes(lanes))
-        return march(seen, explicit_interval, grid, steps, start, jnp.zeros_like(start[0]))[0]
-
-    return in_blocks(block, field.lanes(), field.start())
+    start = field.start()
+    return march(_Seen(field), explicit_interval, grid, steps, start, jnp.zeros_like(start[0]))[0]

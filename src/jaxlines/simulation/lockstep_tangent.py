@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlines.simulation.bound_field import BoundField
-from jaxlines.simulation.lane_blocks import in_blocks
 from jaxlines.simulation.lockstep import coefficients, kept_apart, stage_signals
 
 
@@ -170,11 +169,7 @@ def march_tangent(field: BoundField, grid, steps):
     """Outputs (samples, wanted, lanes) and their derivatives (samples, differentiated columns, wanted, lanes); see
     `march`."""
     start, groups = tangent_start(field, grid[0, -1])
-
-    def block(lanes, start):
-        return _marched(field.of_lanes(lanes), groups, grid, steps, start)
-
-    return in_blocks(block, field.lanes(), start)
+    return _marched(field, groups, grid, steps, start)
 
 
 def _marched(field: BoundField, groups: list[Group], grid, steps, start: Tangent):
