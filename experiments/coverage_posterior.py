@@ -31,7 +31,10 @@ from jaxlines.simulation.precision import cast, computing_in
 SAMPLES = 61  # any number will do: a posterior is as exact with few samples as with many
 NOISE_PRIOR = (0.0, 0.3)  # of the logarithm of the noise over 0.4 bar
 HALF_WIDTHS = np.array([8.0, 6.0, 4.0, 4.0])  # of the prior's box, in standard errors of the example
-WARMUP, DRAWS, THINNED, LANES = 200, 300, 49, 256
+WARMUP, DRAWS, THINNED = 200, 300, 49
+LANES, FEW_LANES = 250, 65
+"""Posteriors side by side. No multiples of 64: the engine hands whole blocks of 64 lanes, or fewer lanes, to a compiled
+function of its own, which XLA's CPU compiler cannot place inside the sampler's loops (it ends the process)."""
 
 
 def prior_box(lanes: Lanes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -121,7 +124,7 @@ def study(count: int, seed: int, say) -> tuple[dict, np.ndarray, int, float]:
     centres = np.concatenate([np.log(share / (1.0 - share)), logs[:, None]], axis=1)
     ranks = {name: np.zeros(count, dtype=int) for name in (*LABELS, "noise", "log-likelihood")}
     hits, divergences = np.zeros((count, len(ranks)), dtype=bool), 0
-    size = min(LANES, count)
+    size = LANES if count > FEW_LANES else FEW_LANES
     for first in range(0, count, size):
         own = np.minimum(np.arange(first, first + size), count - 1)
         keys = jax.random.split(jax.random.key(seed + first), size)

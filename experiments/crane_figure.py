@@ -19,22 +19,22 @@ def _series(axes, times, measured, shown, fitted: int, words: tuple[str, str], l
 
 
 def _intervals(axes, parameters: dict) -> None:
-    """95 % intervals over the estimates (of lengths below zero: their distance), white noise and moving blocks."""
+    """95 % intervals over the estimates (relative), for white noise and as the fit states them."""
     names = list(parameters)
     for k, name in enumerate(names):
         one = parameters[name]
-        for key, shift, color in (("ci95_white_noise", -0.15, FAINT), ("ci95_moving_blocks", 0.15, BLUE)):
+        for key, shift, color in (("ci95_white_noise", -0.15, FAINT), ("ci95", 0.15, BLUE)):
             if one[key] is not None:
                 low, high = ((end - one["value"]) / abs(one["value"]) for end in one[key])
                 axes.plot([100 * low, 100 * high], [k + shift] * 2, color=color, lw=3, solid_capstyle="butt")
     axes.axvline(0.0, color=INK, lw=0.8)
-    for text, color in (("white noise", FAINT), ("moving blocks of residuals", BLUE)):
+    for text, color in (("white noise", FAINT), ("correlated noise", BLUE)):
         axes.plot([], [], color=color, lw=3, label=text)
     axes.set_yticks(range(len(names)), names, fontsize=7.5)
     axes.set_ylim(len(names) - 0.4, -0.6)
-    axes.set_xlim(-100, 100)
+    axes.set_xlim(-110, 110)
     label(axes, "95 % intervals about the estimates", "deviation from the estimate [%]", "", legend=False)
-    axes.legend(frameon=False, fontsize=8.5, loc="lower right")
+    axes.legend(frameon=False, fontsize=8.5, loc="lower center", bbox_to_anchor=(0.5, -0.32), ncols=2)
 
 
 def _structures(axes, results: dict) -> None:

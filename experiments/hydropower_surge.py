@@ -30,6 +30,7 @@ from surge_figure import draw
 from surge_model import NUMERICS, STRUCTURES, Waterway, rest_period
 
 import jaxlines as jl
+from jaxlines.inference.curvature import gauss_newton_covariance
 from jaxlines.inference.least_squares import solve
 from jaxlines.inference.robust_covariance import uncertainty_under_noise
 
@@ -73,6 +74,8 @@ def statement(fit) -> dict:
     noise = uncertainty_under_noise(problem, solve(problem, fit.coordinates, max_evaluations=20), noise="known")
     center, reach = fit.coordinates, noise.factor * noise.sd
     ends = [problem.to_values(np.clip(center + k * reach, *problem.bounds)) for k in (-1.0, 1.0)]
+    reach = 1.96 * np.sqrt(np.diag(gauss_newton_covariance(problem.jacobian(center))))
+    white = [problem.to_values(np.clip(center + k * reach, *problem.bounds)) for k in (-1.0, 1.0)]
     found = {}
     for i, (name, estimate) in enumerate(fit.parameters.items()):
         prior = problem.free[i].prior
@@ -80,7 +83,7 @@ def statement(fit) -> dict:
             "value": estimate.value,
             "unit": estimate.unit,
             "ci95": [float(ends[0][i]), float(ends[1][i])],
-            "ci95_white_residuals": None if estimate.ci95 is None else list(estimate.ci95),
+            "ci95_white_residuals": [float(white[0][i]), float(white[1][i])],
             "note": estimate.note,
             "prior": None if prior is None else str(prior),
             "prior_residual_sd": None if prior is None else float(prior.residual(estimate.value)),

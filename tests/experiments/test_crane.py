@@ -86,8 +86,9 @@ def test_a_computed_crane_is_found_again_and_predicted(load, tmp_path):
     for name, value in truth.items():
         assert found["parameters"][name]["value"] == pytest.approx(value, rel=0.05)
         assert not found["parameters"][name]["at_bound"]
-        low, high = found["parameters"][name]["ci95_moving_blocks"]
-        assert low < found["parameters"][name]["value"] < high
+        for kind in ("ci95", "ci95_moving_blocks", "ci95_white_noise"):
+            low, high = found["parameters"][name][kind]
+            assert low < found["parameters"][name]["value"] < high
     assert found["status"] in ("converged", "stalled")  # the corners of the valve signal stop some searches
     spread = np.std(np.asarray(test["p_oil"]))
     assert found["test_rmse"] < 0.1 * spread
@@ -102,9 +103,9 @@ def test_edges_open_at_rest_and_intervals_that_reach_a_bound_are_named(load):
     rows = {"meter_in.lap": {"value": -0.1}, "meter_in.full": {"value": 0.4}}
     rows |= {"meter_out.lap": {"value": 0.1}, "meter_out.full": {"value": 0.4}}
     assert study.valve_at_rest(rows) == {"meter_in_open_at_rest": pytest.approx(0.25), "meter_out_open_at_rest": 0.0}
-    assert study._reaches({"ci95_moving_blocks": [1.0, 3.0], "bounds": [1.0, 9.0]})
-    assert study._reaches({"ci95_moving_blocks": [-0.2, 0.3], "bounds": [-0.5, 0.3]})
-    assert not study._reaches({"ci95_moving_blocks": [2.0, 3.0], "bounds": [1.0, 9.0]})
+    assert study._reaches({"ci95": [1.0, 3.0], "bounds": [1.0, 9.0]})
+    assert study._reaches({"ci95": [-0.2, 0.3], "bounds": [-0.5, 0.3]})
+    assert not study._reaches({"ci95": [2.0, 3.0], "bounds": [1.0, 9.0]})
 
 
 def test_a_missing_record_or_column_is_named(load, tmp_path):
