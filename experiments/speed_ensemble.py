@@ -99,8 +99,7 @@ def variant(name: str, lanes: int, claims: Claims) -> tuple[list[Row], dict[str,
     else:
         columns = line.varied(lanes)
         reference = line.reference(columns, np.arange(2))
-        # The pilot of "auto" takes minutes on 83 states.
-        program = ours.line_program(columns, engine="implicit", tolerance=1e-3)
+        program = ours.line_program(columns, tolerance=1e-3)
         rows = ours.variant_rows(name, program, columns, f"{line.OUTPUT}.pressure", reference)
         few = {k: v[:16] for k, v in columns.items()}
         peers, missing = attempted({k: v for k, v in line_peers(few, reference).items() if "Kvaerno5" in k})

@@ -1,8 +1,8 @@
 """Sweeps from study files and the command line."""
 
 import json
-import re
 import os
+import re
 import signal
 import subprocess
 import sys
