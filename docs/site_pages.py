@@ -39,6 +39,21 @@ def models_page() -> str:
     return "\n".join(lines)
 
 
+def _command_lines(name: str, command) -> list[str]:
+    """A command with its arguments and options, and those below it."""
+    lines = [f"## {name}", "", inspect.cleandoc(command.help or ""), ""]
+    lines += ["| argument | meaning | default |", "|---|---|---|"]
+    for parameter in command.params:
+        opts = "`, `".join(parameter.opts) if parameter.param_type_name == "option" else parameter.name.upper()
+        default = "" if parameter.default in (None, False) or parameter.required else f"`{parameter.default}`"
+        text = " ".join((getattr(parameter, "help", None) or "").split())
+        lines.append(f"| `{opts}` | {text.replace('|', '/')} | {'**required**' if parameter.required else default} |")
+    if not command.params:
+        del lines[-2:]
+    below = sorted(getattr(command, "commands", {}).items())
+    return [*lines, "", *(line for own, one in below for line in _command_lines(f"{name} {own}", one))]
+
+
 def commands_page() -> str:
     """The help of every command, as the terminal shows it."""
     import typer
@@ -46,19 +61,7 @@ def commands_page() -> str:
     from jaxlines.edge.commands import app
 
     lines = ["# Commands", "", "`jaxlines COMMAND --help` shows the same. Shell completion: see the FAQ.", ""]
-    group = typer.main.get_command(app)
-    for name, command in sorted(getattr(group, "commands", {}).items()):
-        lines += [f"## jaxlines {name}", "", inspect.cleandoc(command.help or ""), ""]
-        lines += ["| argument | meaning | default |", "|---|---|---|"]
-        for parameter in command.params:
-            opts = "`, `".join(parameter.opts) if parameter.param_type_name == "option" else parameter.name.upper()
-            default = "" if parameter.default in (None, False) or parameter.required else f"`{parameter.default}`"
-            text = " ".join((getattr(parameter, "help", None) or "").split())
-            lines.append(
-                f"| `{opts}` | {text.replace('|', '/')} | {'**required**' if parameter.required else default} |"
-            )
-        lines.append("")
-    return "\n".join(lines)
+    return "\n".join([*lines, *_command_lines("jaxlines", typer.main.get_command(app))])
 
 
 def _copied(path: str) -> str:

@@ -13,7 +13,7 @@ import pytest
 
 from jaxlines.edge.building import StudyError
 from jaxlines.edge.commands import run
-from jaxlines.edge.sweep_commands import TOO_MANY_FAILED
+from jaxlines.edge.exit_codes import TOO_MANY_FAILED
 from jaxlines.edge.sweep_study import load_sweep
 from jaxlines.inference.distributions import Discrete, LogNormal, Normal, Truncated, Uniform
 from jaxlines.inference.samplers import Grid, Morris, Rows, SobolIndices

@@ -8,20 +8,14 @@ from typing import Annotated, Any
 
 import typer
 
-from jaxlines.edge import new_commands, sweep_commands
+from jaxlines.edge import help_texts, new_commands, sweep_commands
+from jaxlines.edge.exit_codes import FIT_FAILED, INTERRUPTED, WRONG_CALL
 
 # Whatever needs JAX is imported inside the commands, so that --version and --help answer at once.
 
-WRONG_CALL = 2
-FIT_FAILED = 1
-INTERRUPTED = 130
-
 UsageError: Any = typer.BadParameter.__base__  # of click, which typer does not export
 
-app = typer.Typer(
-    pretty_exceptions_enable=False,
-    help="Simulate lumped hydraulic lines and find their physical parameters in recorded pressure.",
-)
+app = typer.Typer(pretty_exceptions_enable=False, rich_markup_mode="markdown", help=str(help_texts.ALL))
 
 StudyFile = Annotated[str, typer.Argument(metavar="STUDY", help="A study file (TOML), or example:NAME.")]
 Out = Annotated[Path | None, typer.Option("--out", help="Folder for the results, made if needed.")]
@@ -108,7 +102,7 @@ def _more_of(found, assess: bool, draws: int, say) -> dict:
     return more
 
 
-@app.command()
+@app.command(help=str(help_texts.FIT))
 def fit(
     study: StudyFile,
     out: Out = None,
@@ -144,9 +138,9 @@ def fit(
             raise typer.Exit(FIT_FAILED)
 
 
-@app.command()
+@app.command(help=str(help_texts.SIMULATE))
 def simulate(study: StudyFile, out: Out = None, quiet: Quiet = False) -> None:
-    """Simulate the circuit of a study with the numbers of the file."""
+    """Simulate a study and show its outputs."""
     from jaxlines.edge.showing import progress, show_simulation
 
     with _one_line_errors(study):
@@ -166,9 +160,9 @@ def simulate(study: StudyFile, out: Out = None, quiet: Quiet = False) -> None:
         _report_files(files)
 
 
-@app.command()
+@app.command(help=str(help_texts.CHECK))
 def check(study: StudyFile, quiet: Quiet = False) -> None:
-    """Read a study, simulate it once, and say what is in it and what looks odd; no fit."""
+    """Show what is in a study, and what looks odd."""
     from jaxlines.edge.showing import progress, show_simulation, show_study
 
     with _one_line_errors(study):

@@ -3,9 +3,8 @@
 import os
 import sys
 
+from jaxlines.edge.exit_codes import INTERRUPTED
 from jaxlines.simulation.program_cache import default_cache_folder
-
-INTERRUPTED = 130
 
 
 def set_up_jax() -> None:

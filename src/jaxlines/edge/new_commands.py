@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from jaxlines.edge import help_texts
+
 # Whatever is heavy is imported inside the commands, so that --version and --help answer at once.
 
 Recording = Annotated[
@@ -64,25 +66,21 @@ def add_commands(app: typer.Typer, one_line_errors) -> None:
     Args: app; one_line_errors: context manager of a file that turns errors into one line and an exit code.
     """
 
-    @app.command()
+    @app.command(help=str(help_texts.NEW))
     def new(
         study: Target, recording: Recording, template: Template = None, step: Step = None, force: Force = False
     ) -> None:
-        """Write a commented study for a recording: channels, units and a circuit, with every guess marked CHECK.
-
-        Templates: compression (volume against pressure), dead-end (line fed by a measured flow), valve (line behind a
-        servovalve), cylinder (cylinder drive), accumulator, long-pipe (waves between two pressures).
-        """
+        """Write a study for a recording."""
         with one_line_errors(str(study)):
             _new(study, recording, template, step, force)
 
-    @app.command()
+    @app.command(help=str(help_texts.SCHEMA))
     def schema(
         out: Annotated[
             Path | None, typer.Option("--out", help="File to write, instead of the standard output.")
         ] = None,
     ) -> None:
-        """Print the JSON schema of study files, by which editors complete and check keys."""
+        """Print or write the schema of study files."""
         from jaxlines.edge.study_schema import study_schema_text
 
         with one_line_errors(str(out or "schema")):
@@ -93,13 +91,13 @@ def add_commands(app: typer.Typer, one_line_errors) -> None:
                 out.write_text(text + "\n", encoding="utf-8")
                 typer.echo(f"wrote {out}")
 
-    @app.command()
+    @app.command(help=str(help_texts.KEYS))
     def keys(
         table: Annotated[
             str, typer.Argument(help="A table or class, such as fit.free, fluid or Line; all without.")
         ] = "",
     ) -> None:
-        """Print the keys of study files: type, unit, default and range of each."""
+        """Print the keys of a table or class."""
         from jaxlines.edge.study_keys import keys_as_text
 
         with one_line_errors(table or "keys"):

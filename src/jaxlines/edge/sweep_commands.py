@@ -10,10 +10,11 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from jaxlines.edge import help_texts
+from jaxlines.edge.exit_codes import STOPPED, TOO_MANY_FAILED
+
 # Whatever needs JAX is imported inside the commands, so that --version and --help answer at once.
 
-TOO_MANY_FAILED = 3
-STOPPED = 4
 LINE_SECONDS = 10.0
 
 StudyFile = Annotated[str, typer.Argument(metavar="STUDY", help="A study file (TOML) with a table [sweep].")]
@@ -44,10 +45,10 @@ def add_commands(app: typer.Typer, one_line_errors) -> None:
 
     Args: app; one_line_errors: context manager of a file or folder that turns errors into one line and an exit code.
     """
-    group = typer.Typer(cls=_Group, add_completion=False, help="Run, watch and collect sweeps: sweep STUDY --out DIR.")
-    group.command("run")(_sweep_command(one_line_errors))
-    group.command("status")(_status_command(one_line_errors))
-    group.command("collect")(_collect_command(one_line_errors))
+    group = typer.Typer(cls=_Group, add_completion=False, rich_markup_mode="markdown", help=str(help_texts.SWEEPS))
+    group.command("run", help=str(help_texts.SWEEP))(_sweep_command(one_line_errors))
+    group.command("status", help=str(help_texts.STATUS))(_status_command(one_line_errors))
+    group.command("collect", help=str(help_texts.COLLECT))(_collect_command(one_line_errors))
     app.add_typer(group, name="sweep")
 
 
@@ -65,11 +66,7 @@ def _sweep_command(one_line_errors):
         max_failed: Limit = 0.1,
         quiet: Quiet = False,
     ) -> None:
-        """Run the circuit of a study for many values of its uncertain numbers; what is computed is never lost.
-
-        Ctrl-C or a kill leaves a folder that --resume goes on with. Exit code 0: done; 3: more than --max-failed of the
-        lanes failed; 4: stopped before the end (a full disk, workers that die).
-        """
+        """Run a sweep, or go on with one."""
         with one_line_errors(study), _stopped(study), _terminated():
             options = {"where": engine, "workers": workers, "shard": _shard(shard), "resume": resume}
             _run(study, out, count, {**options, "allow_changes": allow_changes, "chunk": chunk}, max_failed, quiet)
@@ -79,7 +76,7 @@ def _sweep_command(one_line_errors):
 
 def _status_command(one_line_errors):
     def status(folder: Folder) -> None:
-        """Say how far the sweeps in a folder are, how fast, and what failed."""
+        """Show the sweeps of a folder."""
         with one_line_errors(str(folder)):
             from jaxlines.edge.sweep_status import show_status
 
@@ -90,7 +87,7 @@ def _status_command(one_line_errors):
 
 def _collect_command(one_line_errors):
     def collect(folder: Folder, max_failed: Limit = 0.1) -> None:
-        """Make the table, the statistics and the report from the lanes that are there."""
+        """Collect a sweep."""
         with one_line_errors(str(folder)):
             from jaxlines.inference.sweep_collect import collect as collect_store
             from jaxlines.inference.sweep_result import SweepResult
