@@ -12,7 +12,6 @@ from jaxlines.simulation.compiled_programs import compiled as compiled
 from jaxlines.simulation.integration import Method, integrate
 from jaxlines.simulation.lane_field import BoundField, LaneField
 from jaxlines.simulation.lockstep import explicit_interval, march
-from jaxlines.simulation.lockstep_adjoint import march_adjoint
 from jaxlines.simulation.lockstep_tangent import march_tangent
 from jaxlines.simulation.plan import Plan, Values
 from jaxlines.simulation.reductions import AbstractReduction
@@ -93,7 +92,7 @@ def field_of(program: LaneProgram, values: Values, columns, t) -> BoundField | B
     return (small_field if program.small else block_field)(program, values, columns, t)
 
 
-def _marched(program: LaneProgram, values: Values, columns, grid, steps):
+def marched(program: LaneProgram, values: Values, columns, grid, steps):
     """Outputs (samples, observed, lanes) and error estimates of the lockstep engines."""
     if program.engine == "implicit":
         return _marched_implicitly(program, values, columns, grid, steps)
@@ -154,7 +153,7 @@ def _chunk(program: LaneProgram, values: Values, columns, grid, steps, tolerance
         estimate = jnp.full(outputs.shape[-1], jnp.nan, outputs.dtype)
         status = jnp.where(solved == STATUS["ok"], _status(program, values, columns, outputs), solved.astype(jnp.int8))
     else:
-        outputs, estimate = _marched(program, values, columns, grid, steps)
+        outputs, estimate = marched(program, values, columns, grid, steps)
         status = _status(program, values, columns, outputs)
     reductions = [
         reduction(times, *(outputs[:, i] for i in taken))
@@ -179,7 +178,7 @@ def chunk_tangent(program: LaneProgram, values: Values, columns, grid, steps, di
         return march_tangent(small_field(program, values, columns, grid[0, -1], True, differentiated), grid, steps)
 
     def outputs(columns):
-        return _marched(program, values, columns, grid, steps)[0]
+        return marched(program, values, columns, grid, steps)[0]
 
     def along(c):
         tangents = [jnp.full_like(x, k == c) for k, x in enumerate(columns)]
@@ -187,51 +186,3 @@ def chunk_tangent(program: LaneProgram, values: Values, columns, grid, steps, di
 
     shown, slopes = jax.lax.map(along, jnp.asarray(differentiated))
     return shown[0], jnp.moveaxis(slopes, 0, 1)
-
-
-def lane_outputs(program: LaneProgram, values: Values, grid, steps: int):
-    """A function of the columns that gives outputs (samples, observed, lanes), differentiable in reverse."""
-    if not program.small or program.engine != "explicit":
-
-        def marched(columns):
-            return _marched(program, values, columns, grid, steps)[0]
-
-        # The implicit engine decides itself what it computes again in reverse.
-        return marched if program.engine == "implicit" else jax.checkpoint(marched)
-
-    def bound(columns, partials):
-        return small_field(program, values, columns, grid[0, -1], partials)
-
-    @jax.custom_vjp
-    def outputs(columns):
-        field = bound(columns, False)
-        return march(field, explicit_interval, grid, steps, field.start(), jnp.zeros(field.shape, grid.dtype))[0]
-
-    def forward(columns):
-        field = bound(columns, False)
-        states, shown = march_states(field, grid, steps)
-        return shown, (columns, states)
-
-    def backward(kept, given):
-        columns, states = kept
-        return (march_adjoint(bound(columns, True), grid, steps, states, given),)
-
-    outputs.defvjp(forward, backward)
-    return outputs
-
-
-def march_states(field, grid, steps):
-    """States at the samples, one array (samples, lanes) each, and the outputs (samples, observed, lanes)."""
-
-    class Seen:
-        """The field, with its states shown before its outputs."""
-
-        signals, rates, total, shape = field.signals, field.rates, field.total, field.shape
-
-        @staticmethod
-        def outputs(signals, state):
-            return state, field.outputs(signals, state)
-
-    start = field.start()
-    shown, _ = march(Seen, explicit_interval, grid, steps, start, jnp.zeros(field.shape, grid.dtype))
-    return shown

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxlines.simulation.bound_field import BoundField
-from jaxlines.simulation.ensemble_program import LaneProgram, lane_outputs as any_lane_outputs, small_field
+from jaxlines.simulation.ensemble_program import LaneProgram, marched, small_field
 from jaxlines.simulation.lockstep import explicit_interval, march
 from jaxlines.simulation.lockstep_adjoint import march_adjoint
 from jaxlines.simulation.plan import Values
@@ -15,7 +15,9 @@ from jaxlines.simulation.plan import Values
 def lane_outputs(program: LaneProgram, values: Values, grid, steps: int) -> Callable:
     """A function of the columns that gives outputs (samples, observed, lanes), differentiable in reverse."""
     if not program.small or program.engine != "explicit":
-        return any_lane_outputs(program, values, grid, steps)
+        by_transposing = lambda columns: marched(program, values, columns, grid, steps)[0]  # noqa: E731
+        # The implicit engine decides itself what it computes again in reverse.
+        return by_transposing if program.engine == "implicit" else jax.checkpoint(by_transposing)
 
     def bound(columns, partials=False):
         return small_field(program, values, columns, grid[0, -1], partials)
