@@ -14,7 +14,7 @@ from studies import write_study
 from typer.testing import CliRunner
 
 import jaxlines.edge.study
-from jaxlines.edge import main as main_module, writing
+from jaxlines.edge import help_texts, main as main_module, writing
 from jaxlines.edge.commands import app
 from jaxlines.edge.study import load_study
 from jaxlines.edge.writing import plain, write_fit
@@ -39,10 +39,19 @@ def test_fit_writes_its_results(fitted):
     result, folder = fitted
     assert result.exit_code == 0, result.output
     assert sorted(os.listdir(folder)) == ["budget.csv", "report.html", "result.json", "traces.csv"]
+    assert set(os.listdir(folder)) <= set(help_texts.FIT.files)
     assert f"wrote {folder}/result.json" in result.stdout
     assert "fluid.bulk_modulus" in result.stdout
     assert "GPa" in result.stdout
     assert "start 1 of 1" in result.stderr
+
+
+def test_correlations_are_printed_as_they_are_written(fitted):
+    matrix = json.loads((fitted[1] / "result.json").read_text())["correlations"]["matrix"]
+    lines = fitted[0].stdout.splitlines()
+    (row,) = (line for line in lines if line.startswith("  2 initial.A.pressure"))
+    assert "correlations" in lines
+    assert row.split()[-1] == f"{matrix[1][0]:+.2f}"
 
 
 def test_result_is_strict_json_with_all_keys(fitted):
@@ -83,6 +92,7 @@ def test_simulate_writes_the_outputs_asked_for(study, tmp_path):
     assert traces["time [s]"].iloc[-1] == 2.0
     np.testing.assert_allclose(traces["A.pressure [Pa]"] - traces["gauge [Pa]"], 101325.0, rtol=1e-6)
     content = json.loads((tmp_path / "result.json").read_text())
+    assert set(os.listdir(tmp_path)) == set(help_texts.SIMULATE.files)
     assert content["status"] == "ok"
     assert content["outputs"]["A.pressure"]["last"] == pytest.approx(traces["A.pressure [Pa]"].iloc[-1])
 

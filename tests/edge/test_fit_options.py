@@ -8,6 +8,7 @@ import pytest
 from studies import write_study
 from typer.testing import CliRunner
 
+from jaxlines.edge import help_texts
 from jaxlines.edge.commands import app
 from jaxlines.inference import posterior
 
@@ -36,6 +37,8 @@ def test_classes_are_shown_and_written(assessed):
     assert "fluid.bulk_modulus: identifiable: 95 % within" in result.stdout
     content = json.loads((folder / "result.json").read_text())
     assert content["classes"]["fluid.bulk_modulus"]["class"] == "identifiable"
+    assert "Which numbers the data can tell" in (folder / "report.html").read_text()
+    assert {path.name for path in folder.iterdir()} == set(help_texts.FIT.files) - {"posterior.csv"} | {"fit.ckpt"}
 
 
 def test_budgets_are_written_and_add_up(assessed):
@@ -84,3 +87,5 @@ def test_draws_of_the_posterior_are_written(study, tmp_path):
     assert len(table) == 4 * 50 and {"chain", "draw", "fluid.bulk_modulus", "diverged"} <= set(table.columns)
     content = json.loads((tmp_path / "result.json").read_text())["posterior"]["parameters"]["fluid.bulk_modulus"]
     assert content["ci95"][0] < content["median"] < content["ci95"][1]
+    assert ">Posterior</h2>" in (tmp_path / "report.html").read_text()
+    assert {path.name for path in tmp_path.iterdir()} == set(help_texts.FIT.files) - {"identifiability.csv"}

@@ -11,6 +11,7 @@ import time
 import numpy as np
 import pytest
 
+from jaxlines.edge import help_texts
 from jaxlines.edge.building import StudyError
 from jaxlines.edge.commands import run
 from jaxlines.edge.exit_codes import TOO_MANY_FAILED
@@ -168,6 +169,8 @@ def test_the_command_runs_and_writes(swept, capsys):
     folder, code = swept
     store = open_store(folder / "out")
     assert code == 0
+    files = {f"HASH/{path.name}" for path in store.folder.iterdir()}
+    assert set(help_texts.COLLECT.files) - files == {"HASH/bands.parquet"}  # of a sweep with outputs
     summary = json.loads((store.folder / "summary.json").read_text())
     assert summary["count"] == 200
     assert [q["probability"] for q in summary["reductions"]["peak"]["quantiles"]] == [0.05, 0.5, 0.95]

@@ -130,11 +130,12 @@ NEW = Page(
 
 SCHEMA = Page(
     "Print the JSON schema of study files, by which editors complete and check keys.",
-    "Editors with a TOML language server take it from a first line `#:schema study.schema.json` in the study.",
+    "Editors with a TOML language server take it from a first line `#:schema ./study.schema.json` in the study.",
     {"beside the study": "jaxlines schema --out study.schema.json"},
     {},
     ("keys", "check"),
-    {"FILE": "the schema, instead of on the standard output"},
+    {"--out FILE": "the schema, instead of on the standard output"},
+    where="",
 )
 
 KEYS = Page(
@@ -154,7 +155,7 @@ _COLLECTED = {
     "HASH/report.html": "quantiles, probabilities, causes and bands on one page that needs nothing else",
     "HASH/summary.json": "the same as numbers; SI",
     "HASH/table.parquet": "a row a lane: numbers, reductions, status",
-    "HASH/bands.parquet": "quantiles of the outputs over time",
+    "HASH/bands.parquet": "quantiles over time, of a sweep with `outputs`",
 }
 
 SWEEP = Page(

@@ -20,6 +20,10 @@ from jaxlines.inference.uncertainty import whiteness_text
 from jaxlines.simulation.result import Simulation
 
 
+MOST_CORRELATED = 10
+"""Parameters up to which their correlations are printed; the report has all."""
+
+
 @contextlib.contextmanager
 def progress(quiet: bool):
     """A function of (text, fraction done): a bar on a terminal, lines elsewhere, nothing when quiet."""
@@ -98,6 +102,8 @@ def show_fit(
     ]
     show_sentences(console, "channels", channels)
     show_sentences(console, "intervals", [fit.intervals] if fit.intervals else [])
+    if 1 < len(fit.parameters) <= MOST_CORRELATED:
+        console.print("\n[bold]correlations[/bold]", _correlations(fit), sep="\n")
     show_sentences(console, "scatter between recordings", [own.sentence(name) for name, own in fit.scatter.items()])
     show_sentences(console, "searches", _searches(fit))
     show_sentences(console, "identifiability", [f"{n}: {c.kind}: {c.sentence}" for n, c in (classes or {}).items()])
@@ -107,6 +113,16 @@ def show_fit(
     show_sentences(console, "rests on", fit.scale)
     show_sentences(console, "validity of the lumped model", fit.validity.sentences() if fit.validity else ())
     show_sentences(console, "warnings", fit.warnings)
+
+
+def _correlations(fit: Fit) -> Table:
+    """The lower half of the correlation matrix, columns in the order of the rows."""
+    names = list(fit.parameters)
+    table = plain_table("  number", *(str(i + 1) for i in range(len(names) - 1)), "")
+    for i, name in enumerate(names):
+        cells = [f"{value:+.2f}" if np.isfinite(value) else "-" for value in fit.correlations[i, :i]]
+        table.add_row(f"  {i + 1} {escape(name)}", *cells)
+    return table
 
 
 def _searches(fit: Fit) -> list[str]:

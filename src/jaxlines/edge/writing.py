@@ -175,7 +175,7 @@ def write_fit(
     """Write a fit as result.json, traces.csv, budget.csv and report.html into a folder.
 
     Args: fit; study: the `Study` or a title; directory: made if needed; classes: of `Fit.assess`, to
-    identifiability.csv; posterior: of `Fit.posterior`, its draws to posterior.csv.
+    identifiability.csv; posterior: of `Fit.posterior`, its draws to posterior.csv; both to the report as well.
     Returns: the files. A failed fit has neither traces nor budgets. Raises: OSError when the folder cannot be written.
     """
     folder, title = make_folder(directory), _title(study)
@@ -193,7 +193,7 @@ def write_fit(
         files.append(write_whole(folder / "identifiability.csv", identifiability_table(classes)))
     if posterior is not None:
         files.append(write_whole(folder / "posterior.csv", posterior_table(fit, posterior)))
-    return [*files, write_whole(folder / "report.html", fit_report(fit, title))]
+    return [*files, write_whole(folder / "report.html", fit_report(fit, title, classes, posterior))]
 
 
 def write_simulation(simulation: Simulation, study, directory, outputs=()) -> list[Path]:
