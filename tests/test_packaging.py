@@ -10,6 +10,7 @@ import venv
 import zipfile
 from pathlib import Path
 
+import build
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -21,8 +22,6 @@ IMPORT_SECONDS = 2.0
 @pytest.fixture(scope="module")
 def built(tmp_path_factory) -> tuple[Path, Path]:
     """The source archive, and the wheel built from what is in it and nothing else."""
-    pytest.importorskip("hatchling", reason="hatchling is not installed")
-    build = pytest.importorskip("build", reason="build is not installed")
     folder = tmp_path_factory.mktemp("dist")
     archive = Path(build.ProjectBuilder(ROOT, runner=quietly).build("sdist", folder))
     with tarfile.open(archive) as content:
@@ -31,9 +30,9 @@ def built(tmp_path_factory) -> tuple[Path, Path]:
     return archive, Path(build.ProjectBuilder(unpacked, runner=quietly).build("wheel", folder))
 
 
-def quietly(command, cwd=None, extra_environ=None) -> None:
+def quietly(cmd, cwd=None, extra_environ=None) -> None:
     """Run a step of the build. Raises CalledProcessError with what it printed."""
-    subprocess.run(command, cwd=cwd, env={**os.environ, **(extra_environ or {})}, check=True, capture_output=True)
+    subprocess.run(cmd, cwd=cwd, env={**os.environ, **(extra_environ or {})}, check=True, capture_output=True)
 
 
 @pytest.fixture(scope="module")
