@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -20,6 +19,7 @@ from jaxlines.inference.distributions import Discrete, LogNormal, Normal, Trunca
 from jaxlines.inference.samplers import Grid, Morris, Rows, SobolIndices
 from jaxlines.inference.sweep_store import open_store
 from jaxlines.simulation.reductions import Crossing, Peak
+from tests.edge.pages import Page
 
 STUDY = """
 title = "Line pumped up"
@@ -170,7 +170,7 @@ def test_the_command_runs_and_writes(swept, capsys):
     store = open_store(folder / "out")
     assert code == 0
     files = {f"HASH/{path.name}" for path in store.folder.iterdir()}
-    assert set(help_texts.COLLECT.files) - files == {"HASH/bands.parquet"}  # of a sweep with outputs
+    assert set(help_texts.COLLECT.files) <= files
     summary = json.loads((store.folder / "summary.json").read_text())
     assert summary["count"] == 200
     assert [q["probability"] for q in summary["reductions"]["peak"]["quantiles"]] == [0.05, 0.5, 0.95]
@@ -179,7 +179,7 @@ def test_the_command_runs_and_writes(swept, capsys):
     assert report.count("<svg") >= 8
     for piece in ("Line pumped up", "Worst lanes", "LogNormal", "What causes the spread", store.content["hash"]):
         assert piece in report
-    assert not re.search(r"""(src|href)=["']?https?:""", report)
+    assert Page(report).outside == []
     before = (store.folder / "table.parquet").read_bytes()
     assert run(["sweep", "status", str(folder / "out")]) == 0
     shown = capsys.readouterr().out

@@ -19,7 +19,6 @@ from jaxlines.inference.posterior import Posterior
 from jaxlines.inference.uncertainty import whiteness_text
 from jaxlines.simulation.result import Simulation
 
-
 MOST_CORRELATED = 10
 """Parameters up to which their correlations are printed; the report has all."""
 
