@@ -6,15 +6,16 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from jaxlines.inference.design_before import Before, known_before
 from jaxlines.inference.design_choices import choose_measurements, even_mask
-from jaxlines.inference.design_criteria import HOWS, Goal
+from jaxlines.inference.design_criteria import HOWS, Goal, covariance_of
 from jaxlines.inference.design_excitation import AbstractExcitation
 from jaxlines.inference.design_model import DesignModel, make_model
 from jaxlines.inference.design_outcome import make_result
 from jaxlines.inference.design_result import Design
 from jaxlines.inference.design_search import Best, OutputLimit, Search, Start, check_start, descend, random_start
 from jaxlines.inference.design_space import Space
-from jaxlines.inference.design_target import Before, Prediction, Target, as_target, known_before, untold
+from jaxlines.inference.design_target import Prediction, Target, as_target, untold
 from jaxlines.inference.fit_result import Fit
 from jaxlines.inference.parameters import Free, Known
 from jaxlines.inference.priors import Prior
@@ -73,12 +74,13 @@ def design(
         criterion: "c" for one number, "D", "A" or "E" for several.
 
     Other arguments:
-        limits: output -> (lowest, highest) in SI that the circuit must keep at all times; None: no limit.
+        limits: output -> (lowest, highest) in SI that the circuit must keep at each of the times; None: no limit.
         num_sensors: how many of the sensors to use; num_samples: how many of the times, the same for each sensor;
             evenly: with a start and an interval instead of freely chosen (by default all are used).
         inputs: other inputs, as for `simulate`; initial: start values in SI, or "steady".
         known: numbers that the fit will hold, with their standard uncertainty, which is counted.
-        earlier: a fit of the same parameters whose information is kept and whose estimates are taken.
+        earlier: a fit of the same parameters whose estimates are taken and whose information is kept, but for that of
+            its start values: the next test has its own.
         robust: "nominal" values only, or the "average" or "worst" of `scenarios` samples of the priors beside them.
         starts: searches, the first from what is given; max_iterations of each; seed: of random starts and scenarios.
         solver, tolerance, max_steps, precision: as in `simulate`; progress: called with a text and a fraction done.
@@ -206,8 +208,8 @@ def _scenarios(model: DesignModel, earlier: Fit | None, robust: str, count: int,
 
     spread = qmc.LatinHypercube(len(model.free), rng=np.random.default_rng(seed)).random(count)
     if earlier is not None:
-        covariance = known_before(model, nominal, earlier).covariance
-        vary = np.linalg.cholesky(np.linalg.inv(np.linalg.inv(covariance) + np.eye(len(nominal))))
+        nothing = np.zeros(2 * (len(nominal),))
+        vary = np.linalg.cholesky(covariance_of(nothing, known_before(model, nominal, earlier).information))
         centre = np.array([f.to_coordinate(v) for f, v in zip(model.free, nominal, strict=True)])
         drawn = centre + (ndtri(spread) @ vary.T) * model.scale
     else:
@@ -266,7 +268,10 @@ def _excite(search: Search, begin, max_iterations: int, say: Progress, turn: int
     if best.trial is None:
         trial = search.trial(begin[0])
         at = int(np.argmin(trial.room)) if trial.room.size else 0
-        where = ", ".join(f"{limit.name} {limit.low:g} .. {limit.high:g}" for limit in search.limits)
+        units = search.model.units
+        where = ", ".join(
+            f"{limit.name} {limit.low:g} .. {limit.high:g} {units[limit.name]}" for limit in search.limits
+        )
         raise ValueError(
             f"no excitation was found that keeps the limits of outputs ({where}): the starting one misses them by "
             f"{-float(trial.room[at]) if trial.room.size else 0.0:.3g} of their range; widen them or lower the limits "

@@ -34,7 +34,7 @@ def choose_measurements(
 ) -> tuple[Counts, dict[str, Selection]]:
     """Choose sensors at all times, then the times of these sensors."""
     counts, found = everything.copy(), {}
-    convex = not search.model.known
+    convex = not search.model.known and not any(criterion.holds for criterion in search.goal.criteria)
     if num_sensors is not None:
         found["sensors"] = select(_blocks(trial, counts, 1), search.goal, num_sensors, convex=convex)
         counts = counts * found["sensors"].counts

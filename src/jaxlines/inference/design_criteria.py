@@ -17,7 +17,8 @@ def covariance_of(information, prior) -> np.ndarray:
     (GUM, Type B); it is what `fit` adds for its `known`.
 
     Args: information: M = R'R of weighted rows R by (free, known) parameters, shape (..., free + known, free + known);
-        prior: information before the test, shape (free, free), positive definite.
+        prior: information before the test, added to M_ff and M_fk, shape (free, free + held), its first part positive
+        definite; the first of what is held are the known ones, the others are none of the test's.
     """
     return _parts(information, prior)[0]
 
@@ -25,8 +26,10 @@ def covariance_of(information, prior) -> np.ndarray:
 def _parts(information, prior) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """C, H = A^-1, B and T = H B B' H; A is scaled to a unit diagonal before it is inverted."""
     size = prior.shape[0]
-    both = information[..., :size, :size] + prior
-    fixed = information[..., :size, size:]
+    both = information[..., :size, :size] + prior[:, :size]
+    fixed = np.zeros((*both.shape[:-1], max(prior.shape[1], information.shape[-1]) - size))
+    fixed[..., : information.shape[-1] - size] = information[..., :size, size:]
+    fixed[..., : prior.shape[1] - size] += prior[:, size:]
     root = 1.0 / np.sqrt(np.diagonal(both, axis1=-2, axis2=-1))
     pair = root[..., :, None] * root[..., None, :]
     inverse = np.linalg.inv(both * pair) * pair
@@ -45,7 +48,8 @@ class Criterion:
 
     exp of the difference of two values is how many times smaller the standard deviation is.
 
-    Args: kind: "D", "A", "E" or "c"; directions: L, shape (free, q); prior: information before the test (free, free).
+    Args: kind: "D", "A", "E" or "c"; directions: L, shape (free, q); prior: information before the test, shape
+        (free, free + held), see `covariance_of`.
     Reference: Atkinson, Donev and Tobias, "Optimum Experimental Designs, with SAS", 2007, ch. 10; Chaloner and
     Verdinelli, "Bayesian experimental design: a review", Statistical Science 10, 1995.
     """
@@ -53,6 +57,11 @@ class Criterion:
     kind: str
     directions: np.ndarray
     prior: np.ndarray
+
+    @property
+    def holds(self) -> bool:
+        """Whether what is known before rests on numbers that are held."""
+        return self.prior.shape[1] > self.prior.shape[0] and bool(np.any(self.prior[:, self.prior.shape[0] :]))
 
     def _asked(self, covariance) -> np.ndarray:
         return np.swapaxes(self.directions, -1, -2) @ covariance @ self.directions
@@ -83,7 +92,7 @@ class Criterion:
         found = np.zeros_like(information)
         size = self.prior.shape[0]
         found[:size, :size] = -inner - crossed - crossed.T
-        found[:size, size:] = inner @ fixed
+        found[:size, size:] = (inner @ fixed)[:, : information.shape[-1] - size]
         found[size:, :size] = found[:size, size:].T
         return found
 
@@ -118,14 +127,14 @@ class Goal:
         return slopes * (np.arange(len(slopes)) == np.argmax(self.values(information)))[:, None, None]
 
 
-def stated_covariance(rows, num_free: int, prior_rows) -> np.ndarray:
+def stated_covariance(rows, num_free: int) -> np.ndarray:
     """The covariance that a fit to such data states, infinite for what they do not tell, shape (free, free).
 
-    Args: rows: weighted slopes of the samples by (free, known) parameters, shape (samples, free + known), the known
-        ones in units of their standard uncertainty; prior_rows: of the priors, shape (priors, free).
+    Args: rows: weighted slopes of samples and priors by (free, known) parameters, shape (rows, free + known), the known
+        ones in units of their standard uncertainty.
     """
     free, known = rows[:, :num_free], rows[:, num_free:]
-    covariance = gauss_newton_covariance(np.concatenate([free, prior_rows]))
+    covariance = gauss_newton_covariance(free)
     told = np.isfinite(np.diag(covariance))
     inner = np.where(np.isfinite(covariance), covariance, 0.0)
     moved = inner @ (free.T @ known)

@@ -18,9 +18,10 @@ class Knots(AbstractExcitation):
 
     Args: input: name of the circuit's input; times: of the knots [s], increasing, shape (knots,); low, high: limits
         of the level [unit of the input]; start: values to begin with, which the design is compared with (the middle of
-        the limits by default); rate: the steepest slope [unit/s]; first, last: fixed values at the ends, such as 0 for
-        a valve that begins and ends closed; energy: the largest integral of u^2 dt [unit^2 s].
-    Raises: ValueError for times that do not increase, limits without room or a start outside them.
+        the limits by default; where they break a limit, the nearest that keep all); rate: the steepest slope [unit/s];
+        first, last: fixed values at the ends, such as 0 for a valve that begins and ends closed; energy: the largest
+        integral of u^2 dt [unit^2 s].
+    Raises: ValueError for times that do not increase, limits without room or another number of values.
     """
 
     input: str

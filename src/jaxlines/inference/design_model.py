@@ -110,8 +110,8 @@ class DesignModel:
     """A circuit under a test that is to be designed.
 
     Fields: circuit; times of samples [s]; sensors: candidates, by name; limited: further outputs that have limits;
-    units of all of these; excitations; inputs: other inputs as signals; free and known parameters; noise of the
-    sensors; compiled parts.
+    units of all outputs of the circuit; excitations; inputs: other inputs as signals; free and known parameters; noise
+    of the sensors; compiled parts.
     """
 
     circuit: Circuit
@@ -272,7 +272,7 @@ def make_model(
         times=times,
         sensors=tuple(sensors),
         limited=tuple(limited),
-        units={name: units[name] for name in wanted},
+        units=units,
         excitations=excitations,
         inputs={name: signal for name, signal in signals.items() if name not in driven},
         free=free,

@@ -4,12 +4,13 @@ import time
 
 import numpy as np
 
+from jaxlines.inference.design_before import Before
 from jaxlines.inference.design_criteria import stated_covariance
 from jaxlines.inference.design_inputs import Multisine
 from jaxlines.inference.design_model import DesignModel, Outcome
 from jaxlines.inference.design_result import Design, Profile
 from jaxlines.inference.design_search import Best, Search, Start, Trial
-from jaxlines.inference.design_target import Before, Target, untold
+from jaxlines.inference.design_target import Target, untold
 from jaxlines.inference.parameter_checks import number_metadata
 from jaxlines.physics.fields import driven_of
 
@@ -19,7 +20,7 @@ NEAR = 1e-4
 
 def _stated(search: Search, outcome: Outcome, mask, before: Before) -> np.ndarray:
     """Covariance in scaled coordinates that a fit will state."""
-    return stated_covariance(outcome.rows[mask], len(search.model.free), before.rows)
+    return stated_covariance(before.with_rows(outcome.rows[mask]), len(search.model.free))
 
 
 def _profiles(model: DesignModel, coefficients, base) -> dict[str, Profile]:
@@ -65,7 +66,8 @@ def _active(search: Search, trial: Trial, coefficients) -> tuple[str, ...]:
             whose = "" if number == 0 else f" in parameter sample {number}"
             for end, at, word in ((limit.low, shown.argmin(), "lowest"), (limit.high, shown.argmax(), "highest")):
                 if np.isfinite(end) and abs(shown[at] - end) <= 1e-3 * limit.range:
-                    found.append(f"{limit.name} at its {word}, {end:.6g}, at {model.times[at]:.4g} s{whose}")
+                    level = f"{end:.6g} {model.units[limit.name]}".removesuffix(" 1")
+                    found.append(f"{limit.name} at its {word}, {level}, at {model.times[at]:.4g} s{whose}")
     return tuple(found)
 
 
@@ -131,6 +133,7 @@ def make_result(
         criterion=asked.kind,
         target_sd_base=asked_sd[0],
         target_sd=asked_sd[1],
+        target_unit=asked.unit(model),
         improvement=float(np.exp(search.goal.value(base_information) - trial.goal)),
         profiles=_profiles(model, best.coefficients, base_coefficients) if model.excitations else {},
         inputs=model.drive(best.coefficients),
@@ -142,7 +145,7 @@ def make_result(
         measured=counts,
         outputs={name: trial.outcomes[0].outputs[:, i] for i, name in enumerate(order)},
         base_outputs={name: first.outcomes[0].outputs[:, i] for i, name in enumerate(order)},
-        output_units=model.units,
+        output_units={name: model.units[name] for name in order},
         limits=search.limits,
         base_keeps_limits=keeps,
         selections=selections,

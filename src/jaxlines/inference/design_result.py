@@ -37,7 +37,8 @@ class Design:
         names, units, values: of the free parameters, values in SI for which the test was designed.
         sd_before, sd_base, sd: standard deviations that are known before, and that a fit will state after the starting
             test and after the designed one, SI, shape (free,); infinite where nothing is told.
-        target, criterion: what it was designed for; target_sd_base, target_sd: of a single number in SI, else None.
+        target, criterion: what it was designed for; target_sd_base, target_sd: of a single number in SI, else None;
+        target_unit: of that number, "" for a combination of different units.
         improvement: how many times smaller the designed test makes the standard deviation that the criterion is.
         profiles: input -> `Profile`; inputs, base_inputs: all inputs as signals, to be used in `simulate`.
         sensors, times: what to measure and when [s]; candidate_sensors, candidate_times; measured: times of each sensor
@@ -60,6 +61,7 @@ class Design:
     criterion: str
     target_sd_base: float | None
     target_sd: float | None
+    target_unit: str
     improvement: float
     profiles: dict[str, Profile]
     inputs: dict[str, Any]
@@ -95,11 +97,18 @@ class Design:
 
     def finding(self) -> str:
         """The result in one line."""
-        what = f"{self.target}: criterion {self.criterion}"
-        if self.target_sd is not None and self.target_sd_base is not None:
-            what += f", standard deviation {self.target_sd_base:.3g} -> {self.target_sd:.3g}"
-        keeps = "" if self.base_keeps_limits else " (which does not keep the limits)"
-        return f"{what}, {self.improvement:.3g} times smaller than by the starting test{keeps}"
+        what, gain = f"{self.target} (criterion {self.criterion})", self.improvement
+        keeps = "" if self.base_keeps_limits else ", which does not keep the limits"
+        word = f"{gain:.3g} times smaller" if gain >= 1.0 else f"{1.0 / gain:.3g} times larger"
+        if self.target_sd is None or self.target_sd_base is None:
+            return f"{what}: standard deviation {word} than by the starting test{keeps}"
+        sd, base = (
+            f"{number:.4g} {self.target_unit}".removesuffix(" 1").rstrip()
+            for number in (self.target_sd, self.target_sd_base)
+        )
+        if not np.isfinite(self.target_sd_base):
+            return f"{what}: standard deviation {sd}; the starting test does not tell it{keeps}"
+        return f"{what}: standard deviation {sd} instead of {base} by the starting test{keeps}: {word}"
 
     def __str__(self) -> str:
         lines = [self.finding(), ""]

@@ -1,4 +1,4 @@
-"""What a test is designed for: parameters, a combination of them, or a prediction; and what is known before."""
+"""What a test is designed for: parameters, a combination of them, or a prediction."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxlines.inference.design_criteria import CRITERIA, Criterion, stated_covariance
+from jaxlines.inference.design_before import Before
+from jaxlines.inference.design_criteria import CRITERIA, Criterion
 from jaxlines.inference.design_model import DesignModel, make_model, message_of
-from jaxlines.inference.fit_result import Fit
-from jaxlines.inference.priors import Prior
+from jaxlines.inference.parameter_checks import number_metadata
 
 OPEN = 1e-8
 """Scaled singular values below this part of the largest count as zero."""
@@ -61,59 +61,6 @@ class Prediction:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Before:
-    """What is known before the test, at values in SI.
-
-    Fields: rows: of priors or of an earlier fit by scaled coordinates, shape (rows, free); covariance that they state
-    (infinite where nothing is known), in scaled coordinates.
-    """
-
-    rows: np.ndarray
-    covariance: np.ndarray
-
-    @property
-    def information(self) -> np.ndarray:
-        """R'R, and the bounds as if they were a standard deviation as wide as they are, so that it has an inverse."""
-        return self.rows.T @ self.rows + np.eye(self.rows.shape[1])
-
-    @property
-    def sizes(self) -> np.ndarray:
-        """Standard deviation before the test in scaled coordinates; 1, the width of the bounds, where none is known."""
-        sd = np.sqrt(np.diag(self.covariance))
-        return np.where(np.isfinite(sd), np.minimum(sd, 1.0), 1.0)
-
-
-def known_before(model: DesignModel, values, earlier: Fit | None) -> Before:
-    """Priors, or an earlier fit (which counted its priors already). Raises ValueError when its parameters differ."""
-    if earlier is not None:
-        rows = _earlier_rows(model, earlier)
-    else:
-        given = [(i, f.prior) for i, f in enumerate(model.free) if isinstance(f.prior, Prior) and not f.prior.flat]
-        rows = np.zeros((len(given), len(model.free)))
-        for row, (i, prior) in enumerate(given):
-            rows[row, i] = prior.slope(values[i]) * model.slopes(values)[i] * model.scale[i]
-    size = len(model.free)
-    nothing = np.diag(np.full(size, np.inf))
-    covariance = stated_covariance(np.zeros((1, size)), size, rows) if rows.size else nothing
-    return Before(rows, covariance)
-
-
-def _earlier_rows(model: DesignModel, earlier: Fit) -> np.ndarray:
-    """Weighted slopes of an earlier fit at its optimum, as few rows with the same information."""
-    problem = earlier.problem
-    if problem is None or earlier.coordinates is None:
-        raise ValueError("the earlier fit failed, so that it says nothing of what is known")
-    mine = [(f.label, f.transform) for f in model.free]
-    theirs = [(f.label, f.transform) for f in problem.free]
-    if mine != theirs:
-        raise ValueError(
-            "the earlier fit must have the same free parameters and transforms: "
-            f"{', '.join(n for n, _ in theirs)}; the design has {', '.join(n for n, _ in mine)}"
-        )
-    return np.asarray(np.linalg.qr(problem.jacobian(earlier.coordinates) * model.scale, mode="r"))
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
 class Target:
     """What is asked: labels of parameters, or weights of a combination in SI, or a prediction; and the criterion."""
 
@@ -128,6 +75,15 @@ class Target:
         if self.weights is not None:
             return " + ".join(f"{w:g} {name}" for name, w in self.weights.items())
         return ", ".join(self.labels)
+
+    def unit(self, model: DesignModel) -> str:
+        """The unit of one number; "" where a combination has several."""
+        if self.prediction is not None:
+            return model.units[self.prediction.output]
+        units = {
+            number_metadata(model.circuit, f.paths[0]).get("unit", "") for f in model.free if f.label in self.labels
+        }
+        return units.pop() if len(units) == 1 else ""
 
     def directions(self, model: DesignModel, values, sizes) -> np.ndarray:
         """L, shape (free, asked): in SI for one number, else in standard deviations before the test."""
@@ -179,7 +135,7 @@ def untold(rows, num_free: int, prior_rows, directions) -> tuple[bool, tuple[int
 
     Columns are scaled to length one; singular values below 1e-8 of the largest count as zero.
     """
-    every = np.concatenate([rows[:, :num_free], prior_rows])
+    every = np.concatenate([rows[:, :num_free], prior_rows[:, :num_free]])
     size = np.linalg.norm(every, axis=0)
     dead = size <= 1e-12 * max(size.max(), 1e-300)
     scaled = np.where(dead, 0.0, every / np.where(dead, 1.0, size))
