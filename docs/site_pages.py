@@ -83,6 +83,7 @@ def generated_pages() -> dict[str, str]:
         "reference/models.md": models_page(),
         "reference/physics.md": _copied("physics.md"),
         "reference/components.md": _copied("components.md"),
+        "example.svg": (ROOT / "docs" / "example.svg").read_text(encoding="utf-8"),
     }
 
 
