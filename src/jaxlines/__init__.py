@@ -64,6 +64,11 @@ if TYPE_CHECKING:  # the public names; each is imported when it is first used (s
         Sobol as Sobol,
         SobolIndices as SobolIndices,
     )
+    from jaxlines.inference.shooting_function import (
+        FunctionWindows as FunctionWindows,
+        WindowsSolution as WindowsSolution,
+        solve_windows as solve_windows,
+    )
     from jaxlines.inference.sweep import run_sweep as run_sweep
     from jaxlines.inference.sweep_result import SweepResult as SweepResult
     from jaxlines.inference.traced import as_function as as_function

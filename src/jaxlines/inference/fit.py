@@ -1,5 +1,6 @@
 """Fit a circuit to recordings: estimates, uncertainty, and what the recordings cannot tell."""
 
+import functools
 import time
 from collections.abc import Callable, Sequence
 
@@ -27,6 +28,8 @@ from jaxlines.inference.recording import Recording
 from jaxlines.inference.recording_faults import find_faults
 from jaxlines.inference.scatter import scatter_of
 from jaxlines.inference.search import Failed, Found, search
+from jaxlines.inference.shooting import search_in_windows
+from jaxlines.inference.shooting_windows import cut_recordings
 from jaxlines.inference.starts import Start, best_of, start_points
 from jaxlines.inference.uncertainty import WHITE_LIMIT, p_value_text
 from jaxlines.simulation.circuit import Circuit
@@ -41,7 +44,12 @@ _ROUNDS = 12
 
 
 def _settle_noise(
-    problem: JointProblem, best: Found, noise: dict[str, Noise], memory: Memory, say: Progress
+    problem: JointProblem,
+    best: Found,
+    noise: dict[str, Noise],
+    memory: Memory,
+    say: Progress,
+    find: Callable[..., Found],
 ) -> tuple[JointProblem, Found, dict[str, Noise], int]:
     """Estimate unknown noise levels, take relative ones of what is simulated, and search again until both settle.
 
@@ -66,7 +74,8 @@ def _settle_noise(
         def report(count, cost):
             say(f"noise levels, evaluation {count}, cost {cost:.5g}", 0.9)
 
-        best = search(problem, best.coordinates, report, stage=f"noise {turn}", memory=memory)
+        again = search if best.followed else find
+        best = again(problem, best.coordinates, report, stage=f"noise {turn}", memory=memory)
         evaluations += best.num_evaluations
     return problem, best, levels, evaluations
 
@@ -98,6 +107,7 @@ def fit(
     loss_scale: float | None = None,
     input_noise: dict | None = None,
     starts: int = 1,
+    windows: int = 1,
     sampling: str = "sobol",
     seed: int = 0,
     checkpoint=None,
@@ -131,6 +141,10 @@ def fit(
             the result.
         starts, sampling, seed: number of searches: the given start, then points of a "sobol" sequence or a "latin"
             hypercube within the bounds; `Fit.starts` says where each ended.
+        windows: in how many parts each recording is cut for the search (multiple shooting), for oscillating, long or
+            chaotic recordings that a trajectory from the start soon has nothing in common with: each part shorter
+            than half a period, or than the time in which chaos doubles errors a few times. Not with sampled
+            controllers or delays of sensors. See `shooting.search_in_windows`.
         checkpoint: a file that is written at every accepted iterate; if it is there, the fit goes on from it.
         check: look for faults of the recordings first (see `find_faults`); a grave one is an error.
         solver, tolerance, max_steps, precision: as in `simulate`.
@@ -151,12 +165,16 @@ def fit(
     inputs, recordings = as_input_noise(input_noise), named_recordings(recording)
     shape = Loss(loss, loss_scale)
     setup = make_setup(circuit, recordings, free, known, dict(noise or {}), initial, shape, inputs, numerics)
+    find = search
+    if windows != 1:
+        cut_recordings(setup.problem, windows)
+        find = functools.partial(search_in_windows, windows=windows)
     points = start_points(setup.problem, starts, seed, sampling)
-    memory = open_memory(checkpoint, problem_key(setup.problem, setup.noise, inputs, points.tolist()))
+    memory = open_memory(checkpoint, problem_key(setup.problem, setup.noise, inputs, points.tolist(), windows))
     faults = _faults(setup.problem) if check else []
     try:
-        best, table, remarks = best_of(setup.problem, points, memory, say)
-        problem, best, levels, more = _settle_noise(setup.problem, best, setup.noise, memory, say)
+        best, table, remarks = best_of(setup.problem, points, memory, say, find)
+        problem, best, levels, more = _settle_noise(setup.problem, best, setup.noise, memory, say, find)
     except Failed as failure:
         return Fit.failure(circuit, str(failure), time.perf_counter() - began)
     memory.write()
@@ -220,9 +238,9 @@ def _status(problem: JointProblem, best: Found, runs) -> tuple[str, str, list[st
         again = np.stack([np.asarray(simulation[name]) for name in trial.wanted], axis=1)
         apart = float(np.max(np.abs(again - shown)[trial.used] / sigma[trial.used], initial=0.0))
         if apart > 1.0:
+            so = "lower the tolerance" if best.followed else "what is simulated with the fitted numbers is no guide"
             warnings.append(
-                f"{where}a second simulation at the optimum differs by up to {apart:.2g} noise levels: "
-                "lower the tolerance"
+                f"{where}a second simulation at the optimum differs by up to {apart:.2g} noise levels: {so}"
             )
     return best.status, best.message, warnings
 

@@ -29,6 +29,8 @@ def influences(problem: JointProblem, found: Found, analysis: Analysis, limit: f
     """
     first = problem.trials[0]
     sentences = [_measured_flow_sentence(first)]
+    if not found.followed:
+        return (sentences[0], "numbers taken as exact were not varied: no single trajectory follows the recording")
     if len(problem.trials) > MOST_RECORDINGS:
         return (sentences[0], f"numbers taken as exact were not varied: more than {MOST_RECORDINGS} recordings")
     jacobian = slopes_by_values(problem, found)[0] * analysis.steps
@@ -111,7 +113,7 @@ def conditional_range(
     moving = {p for f in problem.free for p in f.paths} | {k.path for k in problem.known}
     moving |= {path for trial in problem.trials for path in trial.recording.conditions}
     airy = [i for i, f in enumerate(problem.free) if f.paths[0].endswith("air_fraction")]
-    if not airy or index_path in moving:
+    if not airy or index_path in moving or not found.followed:
         return estimates, []
     ends = []
     for index in POLYTROPIC_RANGE:

@@ -24,7 +24,10 @@ NEAR_FAILURE = 3.0
 
 @dataclasses.dataclass(frozen=True)
 class Found:
-    """Where a search ended: values in SI, simulated channels and slopes there a recording, and how it ended."""
+    """Where a search ended: values in SI, simulated channels and slopes there a recording, and how it ended.
+
+    followed: whether single trajectories showed them, not windows (see `shooting.search_in_windows`).
+    """
 
     values: np.ndarray
     coordinates: np.ndarray
@@ -34,6 +37,7 @@ class Found:
     status: str
     message: str
     num_evaluations: int
+    followed: bool = True
 
 
 class Failed(RuntimeError):

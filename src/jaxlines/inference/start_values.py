@@ -17,7 +17,7 @@ class MeasuredStart(NamedTuple):
     gain: float
 
 
-def _measured_start(circuit: Circuit, recording: Recording, name: str) -> MeasuredStart | None:
+def measured_start(circuit: Circuit, recording: Recording, name: str) -> MeasuredStart | None:
     """The start value of a quantity from the channel that shows it, or from a sensor that reads it."""
     shown = {name: (0.0, 1.0)}
     for sensor_name, sensor in circuit.sensors().items():
@@ -44,7 +44,7 @@ def measured_starts(circuit: Circuit, recording: Recording, free, initial: dict)
         implied = name not in initial and f"initial.{name}" not in taken
         if domain != "hydraulic" or node in circuit.fixed_nodes() or not (wanted or implied):
             continue
-        start = _measured_start(circuit, recording, name)
+        start = measured_start(circuit, recording, name)
         if start is not None:
             initial[name] = start.value
             starts.append(start)

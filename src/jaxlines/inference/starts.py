@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxlines.inference.checkpoint import Memory
 from jaxlines.inference.joint import JointProblem
-from jaxlines.inference.search import Failed, Found, search
+from jaxlines.inference.search import Failed, Found
 
 SAMPLINGS = ("sobol", "latin")
 
@@ -48,11 +48,15 @@ def start_points(problem: JointProblem, count: int, seed: int, sampling: str = "
 
 
 def best_of(
-    problem: JointProblem, points: np.ndarray, memory: Memory, say: Callable[[str, float], None]
+    problem: JointProblem,
+    points: np.ndarray,
+    memory: Memory,
+    say: Callable[[str, float], None],
+    find: Callable[..., Found],
 ) -> tuple[Found, list[Start], list[str]]:
     """The best end point of several searches, the table of all, best first, and remarks.
 
-    Raises: Failed when every search failed.
+    find: `search.search`, or another search with its arguments. Raises: Failed when every search failed.
     """
     found: list[Found] = []
     table: list[Start] = []
@@ -64,7 +68,7 @@ def best_of(
 
         begin = problem.to_values(point)
         try:
-            end = search(problem, point, report, stage=f"start {number}", memory=memory)
+            end = find(problem, point, report, stage=f"start {number}", memory=memory)
         except Failed as failure:
             table.append(Start(number, begin, np.full_like(begin, np.nan), np.inf, "failed", str(failure), 0))
             continue
