@@ -158,9 +158,12 @@ def test_a_loop_and_a_network_of_two_hundred_lines_are_drawn():
     ring |= {f"volume{i}": jl.Line(f"N{i}", jl.Vessel(1e-3)) for i in range(5)}
     assert len(Drawn(jl.Circuit(OIL, ring)).wires) == 15
     pipe = jl.Pipe(1.0, 0.01, 0.014)
-    net: dict = {f"pipe{i}": jl.Line(f"N{i // 2}", pipe, to=f"N{i + 1}", segments=2) for i in range(200)}
+
+    def net(count: int) -> str:
+        lines: dict = {f"pipe{i}": jl.Line(f"N{i // 2}", pipe, to=f"N{i + 1}", segments=2) for i in range(count)}
+        return circuit_svg(jl.Circuit(OIL, {**lines, "supply": jl.PressureSource("N0", 1e7)}))
+
     begun = time.perf_counter()
-    svg = circuit_svg(jl.Circuit(OIL, {**net, "supply": jl.PressureSource("N0", 1e7)}))
-    assert svg.count("<rect") == 402
+    assert net(200).count("<rect") == 402
     assert time.perf_counter() - begun < 20.0
-    assert svg == circuit_svg(jl.Circuit(OIL, {**net, "supply": jl.PressureSource("N0", 1e7)}))
+    assert net(30) == net(30)
