@@ -9,9 +9,11 @@ import time
 import numpy as np
 import pytest
 
+from jaxlines.edge.design_report import design_report
 from jaxlines.edge.report import fit_report
 from jaxlines.edge.sweep_report import sweep_report
 from tests.edge.pages import small_sweep
+from tests.edge.test_design_report import made_design
 from tests.edge.test_report import made_fit
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
@@ -68,6 +70,7 @@ def pages(tmp_path_factory):
     """The pages as files, and the fit behind the first."""
     folder, fit = tmp_path_factory.mktemp("pages"), made_fit(2000)
     texts = {"fit": fit_report(fit, "A fit"), "sweep": sweep_report(small_sweep(), "A sweep")}
+    texts["design"] = design_report(made_design(), "A design")
     for name, text in texts.items():
         (folder / f"{name}.html").write_text(text, encoding="utf-8")
     return folder, fit
@@ -114,7 +117,8 @@ def wait_for(browser, script: str, *arguments):
 
 def show(browser, folder, name: str) -> None:
     """Open a page and wait until its plots are drawn."""
-    browser.get_log("browser"), browser.get_log("performance")
+    for log in ("browser", "performance"):
+        browser.get_log(log)  # forgets what earlier pages said
     browser.get((folder / f"{name}.html").as_uri())
     wait_for(browser, "return document.documentElement.dataset.plots")
 
@@ -126,7 +130,7 @@ def requests(browser) -> list[str]:
     return [url for url in asked if not url.startswith(("data:", "blob:"))]
 
 
-@pytest.mark.parametrize(("name", "least"), [("fit", 4), ("sweep", 5)])
+@pytest.mark.parametrize(("name", "least"), [("fit", 4), ("sweep", 5), ("design", 3)])
 def test_a_page_is_drawn_without_an_error_or_a_request(screen, pages, name, least):
     show(screen, pages[0], name)
     figures = screen.find_elements("css selector", "figure.live")
@@ -217,7 +221,7 @@ def test_a_phone_shows_all_and_scrolls(screen, pages):
     size = {"width": 390, "height": 800, "deviceScaleFactor": 1, "mobile": True}
     screen.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     screen.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": True})
-    for name in ("fit", "sweep"):
+    for name in ("fit", "sweep", "design"):
         show(screen, pages[0], name)
         assert screen.execute_script("return document.documentElement.scrollWidth") == 390
         wide = "return [...document.querySelectorAll('.screen')].map((e) => e.getBoundingClientRect().right)"
@@ -243,7 +247,7 @@ def test_paper_and_readers_without_scripts_get_the_drawings(screen, pages):
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("name", ["fit", "sweep"])
+@pytest.mark.parametrize("name", ["fit", "sweep", "design"])
 def test_pages_are_accessible(screen, pages, name, scheme):
     axe = pytest.importorskip("axe_core_python.selenium", reason="axe-core-python is not installed")
     emulate(screen, scheme)

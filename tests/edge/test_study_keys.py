@@ -157,6 +157,7 @@ def test_the_schema_accepts_the_example_and_refuses_slips():
         ("conductance =", "conductanse ="),
         ('"Line"', '"Hose"'),
         ("derived =", "derivd ="),
+        ("knots =", "knot ="),
         ('"2.2 GPa"', "2.2"),
     ]:
         assert not fits(tomllib.loads(TEXT.replace(old, new, 1)), schema, schema), new

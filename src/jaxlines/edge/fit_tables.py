@@ -99,12 +99,12 @@ def _parts(given: dict, parts: tuple[str, ...]) -> dict[str, dict]:
     return found
 
 
-def study_noise(given: dict, names: Names, builder: Builder) -> dict[str, Any]:
-    """Noise of channels in SI: a number, or a `Noise` where part of it is relative or estimated."""
+def study_noise(given: dict, names: Names, builder: Builder, table: str = "recording.noise") -> dict[str, Any]:
+    """Noise of channels in SI: a number, or a `Noise` where part of it is relative or estimated; table: of the file."""
     noise: dict[str, Any] = {}
     for name, parts in _parts(given, ("absolute", "relative")).items():
-        where = f"recording.noise.{name}"
-        metadata = {**look_up(name, names.outputs, "recording.noise", "output"), "level": False}
+        where = f"{table}.{name}"
+        metadata = {**look_up(name, names.outputs, table, "output"), "level": False}
         units = {"absolute": metadata, "relative": {"unit": "1"}}
         levels = {
             part: None if value == ESTIMATED else builder.number(value, units[part], where)

@@ -74,6 +74,7 @@ KEY_DOCS = {
     "sweep.reduction.name": "how results call it; type and output by default",
     "sweep.reduction.above": "thresholds, with unit: the probability to exceed each is reported",
     "sweep.reduction.options": 'its own: { share = 0.95 }, { level = "50 bar_g", direction = "down" }',
+    "design": "the next test: what it is for, what can be chosen of it, and the limits that it must keep",
     "numerics.solver": '"explicit" for smooth circuits, "implicit" for stiff ones (small volumes, end stops)',
     "numerics.tolerance": "relative tolerance of the adaptive step",
     "numerics.max_steps": "steps after which a simulation is given up",

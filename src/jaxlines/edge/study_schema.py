@@ -85,12 +85,13 @@ def _class_schema(name: str, kind: type, *, typed: bool) -> dict:
 def _loosen(schema: dict) -> None:
     """What is changed before a table is checked: one path instead of a list, dotted names without quotes."""
     definitions = schema["$defs"]
-    for table in ("FreeTable", "UncertainTable"):
+    for table, key in (("FreeTable", "path"), ("UncertainTable", "path"), ("DesignTable", "target")):
         keys = definitions[table]["properties"]
-        keys["path"] = {"description": keys["path"]["description"], "anyOf": [{"type": "string"}, keys["path"]]}
-    recording = definitions["RecordingTable"]["properties"]
+        keys[key] = {"description": keys[key]["description"], "anyOf": [{"type": "string"}, keys[key]]}
+    recording, designed = (definitions[table]["properties"] for table in ("RecordingTable", "DesignTable"))
     columns = definitions["CasesTable"]["properties"]["columns"]
-    for content in (recording["channels"], recording["noise"], schema["properties"]["initial"], columns):
+    by_name = [recording["channels"], recording["noise"], schema["properties"]["initial"], columns]
+    for content in (*by_name, designed["noise"], designed["limits"]):
         content["additionalProperties"] = {"anyOf": [content.get("additionalProperties", {}), {"type": "object"}]}
 
 

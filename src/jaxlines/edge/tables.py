@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, ValidationError
 
 from jaxlines.edge.building import StudyError, suggest
+from jaxlines.edge.design_tables import DesignTable, ExciteTable
 from jaxlines.edge.sweep_tables import CasesTable, CorrelationTable, ReductionTable, SweepTable, UncertainTable
 from jaxlines.edge.table_base import Number, Table, as_list, flat
 
@@ -103,6 +104,7 @@ class StudyTable(Table):
     fit: FitTable | None = None
     simulate: SimulateTable | None = None
     sweep: SweepTable | None = None
+    design: DesignTable | None = None
     numerics: NumericsTable = NumericsTable()
 
 
@@ -118,6 +120,8 @@ _TABLES = {
     ("sweep", "correlation"): CorrelationTable,
     ("sweep", "reduction"): ReductionTable,
     ("sweep", "cases"): CasesTable,
+    ("design",): DesignTable,
+    ("design", "excite"): ExciteTable,
     ("numerics",): NumericsTable,
 }
 

@@ -266,15 +266,23 @@ def _excite(search: Search, begin, max_iterations: int, say: Progress, turn: int
         best, found = descend(search, space, space.scaled(point), best, max_iterations)
         table.append(found)
     if best.trial is None:
-        trial = search.trial(begin[0])
-        at = int(np.argmin(trial.room)) if trial.room.size else 0
-        units = search.model.units
-        where = ", ".join(
-            f"{limit.name} {limit.low:g} .. {limit.high:g} {units[limit.name]}" for limit in search.limits
-        )
-        raise ValueError(
-            f"no excitation was found that keeps the limits of outputs ({where}): the starting one misses them by "
-            f"{-float(trial.room[at]) if trial.room.size else 0.0:.3g} of their range; widen them or lower the limits "
-            "of the inputs"
-        )
+        raise ValueError(_no_room(search, begin[0]))
     return best, sorted(table, key=lambda s: (not s.kept, s.after))
+
+
+def _no_room(search: Search, coefficients) -> str:
+    """Why no excitation keeps the limits of outputs."""
+    trial, units = search.trial(coefficients), search.model.units
+    where = ", ".join(f"{limit.name} {limit.low:g} .. {limit.high:g} {units[limit.name]}" for limit in search.limits)
+    for limit in search.limits:
+        first = float(trial.outcomes[0].outputs[0, search.model.outputs.index(limit.name)])
+        if not limit.low <= first <= limit.high:
+            return (
+                f"no excitation keeps the limits of outputs ({where}): {limit.name} begins at {first:g} "
+                f"{units[limit.name]}; widen them or begin within them"
+            )
+    return (
+        f"no excitation was found that keeps the limits of outputs ({where}): the starting one misses them by "
+        f"{-float(trial.room.min()) if trial.room.size else 0.0:.3g} of their range; widen them, lower the limits of "
+        "the inputs, or try more starts"
+    )
