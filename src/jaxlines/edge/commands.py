@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from jaxlines.edge import help_texts, new_commands, sweep_commands
+from jaxlines.edge import design_commands, help_texts, new_commands, sweep_commands
 from jaxlines.edge.exit_codes import FIT_FAILED, INTERRUPTED, WRONG_CALL
 
 # Whatever needs JAX is imported inside the commands, so that --version and --help answer at once.
@@ -180,6 +180,7 @@ def check(study: StudyFile, quiet: Quiet = False) -> None:
 
 
 sweep_commands.add_commands(app, _one_line_errors)
+design_commands.add_commands(app, _one_line_errors)
 new_commands.add_commands(app, _one_line_errors)
 
 
