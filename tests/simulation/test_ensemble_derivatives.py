@@ -107,6 +107,11 @@ def test_a_time_of_peak_has_no_derivative():
         jl.ensemble_jacobian(program, values)
 
 
+def test_an_objective_that_asks_for_what_is_not_there_is_told(program, values):
+    with pytest.raises(KeyError, match=r"no output of this ensemble .*A\.presure.*A\.pressure"):
+        jl.ensemble_gradient(program, lambda times, outputs: outputs["A.presure"][-1], values)
+
+
 def test_an_objective_of_the_wrong_shape_is_refused(program, values):
     with pytest.raises(ValueError, match="one number for each lane"):
         jl.ensemble_gradient(program, lambda times, outputs: jnp.sum(outputs["gauge"]), values)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +12,7 @@ from jaxlines.simulation.ensemble import FEWEST, EnsembleProgram, workers
 from jaxlines.simulation.ensemble_columns import Varied, as_slice, out_of_range
 from jaxlines.simulation.ensemble_program import LaneProgram, chunk_tangent, compiled
 from jaxlines.simulation.lockstep_gradient import lane_outputs
+from jaxlines.simulation.paths import resolve
 from jaxlines.simulation.precision import cast, computing_in
 
 DERIVATIVE_LANES = 2 * FEWEST
@@ -39,6 +40,13 @@ class EnsembleGradient(NamedTuple):
     gradient: dict[str, np.ndarray]
 
 
+class _Outputs(dict[str, Any]):
+    """Outputs by name, for an objective."""
+
+    def __missing__(self, name: str):
+        return self[resolve(name, list(self), "output of this ensemble")]
+
+
 def _tangent_chunk(program: LaneProgram, values, columns, grid, steps):
     """Kept outputs, reductions, and their derivatives in the columns, lanes last."""
     outputs, slopes = chunk_tangent(program, values, columns, grid, steps)
@@ -62,7 +70,7 @@ def _gradient_chunk(program: LaneProgram, objective: Callable, steps: int, value
 
     def total(columns):
         outputs = outputs_of(columns)
-        value = objective(grid[:, -1], {name: outputs[:, i] for i, name in enumerate(program.observed)})
+        value = objective(grid[:, -1], _Outputs((name, outputs[:, i]) for i, name in enumerate(program.observed)))
         if jnp.shape(value) != outputs.shape[-1:]:
             raise ValueError(
                 f"the objective must give one number for each lane, shape {outputs.shape[-1:]}, got "
