@@ -23,7 +23,8 @@ HEAVY = {
     "how-to/priors.md",
     "first-fit.md",
     "how-to/sweeps.md",
-    *(f"how-to/{name}.md" for name in ("check", "uncertainty", "several-recordings", "own-objective", "own-component")),
+    *(f"how-to/{name}.md" for name in ("check", "design", "uncertainty", "several-recordings", "long-records")),
+    *(f"how-to/{name}.md" for name in ("own-objective", "own-component")),
 }
 
 

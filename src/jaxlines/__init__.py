@@ -10,6 +10,11 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:  # the public names; each is imported when it is first used (see __getattr__)
     from jaxlines.edge.building import StudyError as StudyError
     from jaxlines.edge.circuit_text import circuit_from_toml as circuit_from_toml, circuit_to_toml as circuit_to_toml
+    from jaxlines.edge.design_plots import (
+        plot_design_gain as plot_design_gain,
+        plot_design_input as plot_design_input,
+        plot_design_output as plot_design_output,
+    )
     from jaxlines.edge.drawing import circuit_svg as circuit_svg
     from jaxlines.edge.experiment_tables import (
         read_conditions as read_conditions,
@@ -18,15 +23,36 @@ if TYPE_CHECKING:  # the public names; each is imported when it is first used (s
         write_conditions as write_conditions,
         write_measurements as write_measurements,
     )
-    from jaxlines.edge.plots import plot_line_response as plot_line_response
+    from jaxlines.edge.plots import (
+        plot_bulk_modulus as plot_bulk_modulus,
+        plot_channel as plot_channel,
+        plot_directions as plot_directions,
+        plot_line_response as plot_line_response,
+        plot_posterior as plot_posterior,
+        plot_profile as plot_profile,
+        plot_residuals as plot_residuals,
+        plot_starts as plot_starts,
+        plot_wave_speed as plot_wave_speed,
+    )
     from jaxlines.edge.reading import read_recording as read_recording
     from jaxlines.edge.resampling import resample as resample
     from jaxlines.edge.study import Study as Study, load_study as load_study
+    from jaxlines.edge.sweep_plots import (
+        plot_band as plot_band,
+        plot_ensemble as plot_ensemble,
+        plot_histogram as plot_histogram,
+        plot_scatter as plot_scatter,
+        plot_sensitivity as plot_sensitivity,
+    )
     from jaxlines.edge.units import si as si
     from jaxlines.inference.batch import BatchFit as BatchFit, fit_batch as fit_batch
     from jaxlines.inference.budget import Source as Source, measurement_budget as measurement_budget
     from jaxlines.inference.circuit_sweep import circuit_plan as circuit_plan, sweep as sweep
     from jaxlines.inference.comparison import compare as compare
+    from jaxlines.inference.design import design as design
+    from jaxlines.inference.design_inputs import Knots as Knots, Multisine as Multisine, Scaled as Scaled
+    from jaxlines.inference.design_result import Design as Design
+    from jaxlines.inference.design_target import Prediction as Prediction
     from jaxlines.inference.distributions import (
         Discrete as Discrete,
         LogNormal as LogNormal,

@@ -117,6 +117,10 @@ def make_result(
     base_information = np.stack([r.T @ r for r in (o.rows[base_mask] for o in first.outcomes)])
     single = search.goal.criteria[0].directions if search.goal.criteria[0].directions.shape[1] == 1 else None
     asked_sd = [None, None] if single is None else [_along(single[:, 0], c) for c in covariances]
+    improvement = float(np.exp(search.goal.value(base_information) - trial.goal))
+    single_sd = [sd for sd in asked_sd if sd is not None and np.isfinite(sd)]
+    if search.goal.how == "nominal" and len(single_sd) == 2:
+        improvement = single_sd[0] / single_sd[1]  # the goal counts the bounds as if they told a little
     keeps = bool(np.all(first.room >= -1e-6))
     warnings = [] if keeps else ["the starting test does not keep the limits of outputs"]
     if table and not any(start.kept for start in table):
@@ -134,7 +138,7 @@ def make_result(
         target_sd_base=asked_sd[0],
         target_sd=asked_sd[1],
         target_unit=asked.unit(model),
-        improvement=float(np.exp(search.goal.value(base_information) - trial.goal)),
+        improvement=improvement,
         profiles=_profiles(model, best.coefficients, base_coefficients) if model.excitations else {},
         inputs=model.drive(best.coefficients),
         base_inputs=model.drive(base_coefficients),

@@ -100,6 +100,7 @@ class Design:
         what, gain = f"{self.target} (criterion {self.criterion})", self.improvement
         keeps = "" if self.base_keeps_limits else ", which does not keep the limits"
         word = f"{gain:.3g} times smaller" if gain >= 1.0 else f"{1.0 / gain:.3g} times larger"
+        word += {"average": " on average over the samples", "worst": " at the worst sample"}.get(self.robust, "")
         if self.target_sd is None or self.target_sd_base is None:
             return f"{what}: standard deviation {word} than by the starting test{keeps}"
         sd, base = (
