@@ -242,7 +242,7 @@ def test_the_profile_runs_in_a_study(with_profile, write):
 
 @pytest.mark.slow
 def test_designed_profile_of_the_command_simulates_as_predicted(write):
-    study = write(EXCITE)
+    study = write(EXCITE, ('start = "2.2 GPa"\n', ""))  # designed for the number of the circuit, which is simulated
     folder = study.parent / "out"
     result = run(str(study), "--target", "fluid.bulk_modulus", "--out", str(folder))
     assert result.exit_code == 0, result.output
