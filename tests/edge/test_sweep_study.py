@@ -92,6 +92,22 @@ def write(folder, *changes):
     return path
 
 
+def test_levels_of_a_gauge_sensor_count_from_the_atmosphere(tmp_path):
+    sensor = '[circuit.sensor]\ntype = "PressureSensor"\nnode = "A"\nreference = "gauge"\n[circuit.reservoir]'
+    asked = 'output = "sensor"\nabove = ["8 bar_g", "9 MPa_a"]'
+    crossing = 'output = "sensor"\noptions = { level = "5 bar_a" }'
+    loaded = load_sweep(
+        write(
+            tmp_path,
+            ("[circuit.reservoir]", sensor),
+            ('output = "A.pressure"\nabove = ["8 bar_g", "9 MPa_a"]', asked),
+            ('output = "A.pressure"\noptions = { level = "5 bar_a" }', crossing),
+        )
+    )
+    assert loaded.thresholds["peak"] == pytest.approx([8e5, 9e6 - 101325.0])
+    assert loaded.plan.model.reductions["Crossing sensor"] == Crossing("sensor", 5e5 - 101325.0)
+
+
 def test_a_study_says_all_of_a_sweep_in_units(tmp_path):
     loaded = load_sweep(write(tmp_path))
     uncertain = loaded.plan.uncertain

@@ -70,6 +70,10 @@ class Builder:
         except (ValueError, TypeError) as error:
             raise StudyError(f"{where}: {error}") from error
 
+    def shown(self, value, metadata: dict, where: str, gauge: bool) -> float:
+        """A number as an output shows it: what a gauge sensor shows counts from the atmosphere."""
+        return self.number(value, metadata, where) - (self.atmospheric_pressure if gauge else 0.0)
+
     def numbers(self, value, metadata: dict, where: str):
         """A number, or an array of them from a list or a list of lists."""
         if not isinstance(value, list):

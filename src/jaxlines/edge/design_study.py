@@ -174,8 +174,8 @@ def _limits(study: Study, table: DesignTable, builder: Builder) -> dict[str, tup
         metadata = look_up(name, study.names.outputs, "design.limits", "output")
         if len(pair) != 2:
             raise StudyError(f'{where}: give the lowest and the highest value ("none" for no limit), got {pair!r}')
-        shown = builder.atmospheric_pressure if is_gauge(study.circuit, name) else 0.0
-        found[name] = tuple(None if end == "none" else builder.number(end, metadata, where) - shown for end in pair)
+        gauge = is_gauge(study.circuit, name)
+        found[name] = tuple(None if end == "none" else builder.shown(end, metadata, where, gauge) for end in pair)
     return found
 
 

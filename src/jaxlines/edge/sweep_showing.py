@@ -32,7 +32,7 @@ def show_sweep(result: SweepResult, title: str) -> None:
             show_sentences(console, heading, _causes(sensitivity, result[name]))
     show_sentences(console, "Notes", found.notes)
     if any(summary.unit == "Pa" for summary in found.summaries.values()):
-        console.print("\nPressures are absolute.")
+        console.print("\nPressures are absolute, but for those of gauge sensors.")
 
 
 def _row(summary: Summary) -> list[str]:

@@ -16,6 +16,7 @@ from jaxlines.inference.circuit_sweep import circuit_plan
 from jaxlines.inference.distributions import AbstractDistribution
 from jaxlines.inference.sweep_plan import SweepPlan
 from jaxlines.inference.uncertain import Draws, Uncertain
+from jaxlines.simulation.observation import is_gauge
 from jaxlines.simulation.reductions import OfOneOutput
 
 _DISTRIBUTIONS = {
@@ -176,9 +177,9 @@ def _reductions(study: Study, table: SweepTable, builder: Builder) -> tuple[dict
         if entry.type not in known:
             raise StudyError(f"{where}: unknown type {entry.type!r}, {suggest(entry.type, known)}")
         metadata = look_up(entry.output, study.names.outputs, f"{where}.output", "output")
-        options = dict(entry.options)
+        options, gauge = dict(entry.options), is_gauge(study.circuit, entry.output)
         if "level" in options:
-            options["level"] = builder.number(options["level"], metadata, f"{where}.options.level")
+            options["level"] = builder.shown(options["level"], metadata, f"{where}.options.level", gauge)
         with at(where):
             reduction = known[entry.type](entry.output, **options)
         name = entry.name or f"{entry.type} {entry.output}"
@@ -186,7 +187,7 @@ def _reductions(study: Study, table: SweepTable, builder: Builder) -> tuple[dict
             raise StudyError(f"{where}: there are two reductions {name!r}: give one of them another name")
         found[name] = reduction
         if entry.above:
-            thresholds[name] = [builder.number(value, metadata, f"{where}.above") for value in entry.above]
+            thresholds[name] = [builder.shown(x, metadata, f"{where}.above", gauge) for x in entry.above]
     return found, thresholds
 
 
