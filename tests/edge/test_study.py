@@ -100,7 +100,9 @@ def _with_runs(tmp_path, file: str):
 
 def test_priors_ratios_local_parameters_and_losses(tmp_path):
     prior = 'prior = { normal = { mean = "1.4 GPa", sd = "0.1 GPa" }, low = "1 GPa" }\nlocal = true\nratios = [1]\n'
-    options = '[fit]\nloss = "student"\nloss_scale = 3.0\nsampling = "latin"\nsteady = true\ncheck = false\n'
+    options = (
+        '[fit]\nloss = "student"\nloss_scale = 3.0\nsampling = "latin"\nsteady = true\ncheck = false\nwindows = 5\n'
+    )
     inputs = '[fit.input_noise]\nflow = { white = "0.1 L/min", gain = "0.5 %" }\n'
     noise = (
         'noise = { "A.pressure" = "0.1 bar" }',
@@ -121,7 +123,7 @@ def test_priors_ratios_local_parameters_and_losses(tmp_path):
     assert study.steady
     options = study.fit_options
     assert (options["loss"], options["loss_scale"], options["sampling"]) == ("student", 3.0, "latin")
-    assert options["check"] is False
+    assert options["check"] is False and options["windows"] == 5
     assert options["input_noise"]["flow"].white == pytest.approx(0.1 / 6e4)
     assert options["input_noise"]["flow"].gain == pytest.approx(0.005)
 

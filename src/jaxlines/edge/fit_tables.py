@@ -180,7 +180,7 @@ def _more(entry: FreeTable, metadata: dict, builder: Builder, where: str) -> dic
 def study_fit_options(table: FitTable, names: Names, builder: Builder) -> dict[str, Any]:
     """Further arguments of `fit`; those that were not given are left to it."""
     options = table.model_dump(include={"derived", "starts", "seed"})
-    options |= table.model_dump(include={"sampling", "loss", "loss_scale", "check"}, exclude_defaults=True)
+    options |= table.model_dump(include={"sampling", "windows", "loss", "loss_scale", "check"}, exclude_defaults=True)
     noise = study_input_noise(table.input_noise, names, builder)
     return options | ({"input_noise": noise} if noise else {})
 

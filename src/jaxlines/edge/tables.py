@@ -60,6 +60,11 @@ class FitTable(Table):
     starts: Annotated[int, Field(ge=1)] = 1
     seed: Annotated[int, Field(ge=0)] = 0
     sampling: Literal["sobol", "latin"] = Field(default="sobol", description="how these points are spread")
+    windows: Annotated[int, Field(ge=1)] = Field(
+        default=1,
+        description="in how many parts each recording is cut for the search, so that it stays in step with a ringing "
+        "or chaotic recording: each shorter than half a period",
+    )
     loss: Literal["gauss", "huber", "student"] = Field(
         default="gauss", description='what residuals cost: "huber" and "student" bear outliers'
     )
