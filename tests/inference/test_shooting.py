@@ -246,4 +246,9 @@ def test_a_chaotic_circuit_is_fitted_where_no_trajectory_follows():
     values, sd = numbers(fit)
     assert np.all(np.abs(values[:3] - LORENZ) < 4 * sd[:3]) and np.all(sd[:3] < 5e-3 * LORENZ)
     assert all(channel.white and channel.rmse == pytest.approx(1.0, abs=0.1) for channel in fit.channels.values())
+    problem = fit.problem
+    assert problem is not None
+    cut = cut_recordings(problem, 100)
+    end = join(cut, At(problem.start, cut.guess(problem.start)))
+    np.testing.assert_allclose(sd, np.sqrt(np.diag(end.covariance)), rtol=1e-3)  # chained slopes, and sparse equations
     assert any("what is simulated with the fitted numbers is no guide" in warning for warning in fit.warnings)
