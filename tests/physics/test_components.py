@@ -167,6 +167,16 @@ def oils_for(part) -> list[str]:
     return list(OILS) if isinstance(part, STORING) else ["with air", "without air"]
 
 
+def value_and_jacobian(restore):
+    """Both in one program, because compiling takes most of the time here."""
+
+    def twice(x):
+        found = results(*restore(x))
+        return found, found
+
+    return jax.jit(jax.jacfwd(twice, has_aux=True))
+
+
 @pytest.mark.parametrize("name", PARTS)
 def test_jacobian_in_all_numbers_and_potentials(name):
     part, programs = PARTS[name], {}
@@ -175,16 +185,15 @@ def test_jacobian_in_all_numbers_and_potentials(name):
         flat = {point: np.asarray(ravel_pytree((part, at))[0]) for point, at in points.items()}
         _, restore = ravel_pytree((part, points["generic"]))
         structure = jax.tree.structure((part, points["generic"]))
-        if structure not in programs:
-            programs[structure] = (
-                jax.jit(lambda x, restore=restore: results(*restore(x))),
-                jax.jit(jax.jacfwd(lambda x, restore=restore: results(*restore(x)))),
-            )
-        function, jacobian = programs[structure]
+        program = programs.setdefault(structure, value_and_jacobian(restore))
+
+        def function(x, program=program):
+            return np.asarray(program(x)[1])
+
         largest = np.max([np.abs(function(x)) for x in flat.values()], axis=0)
         for point, x in flat.items():
             scale = np.asarray(ravel_pytree(sizes(part, points[point]))[0])
-            exact = np.asarray(jacobian(x))
+            exact = np.asarray(program(x)[0])
             assert np.all(np.isfinite(exact)) and np.all(np.isfinite(function(x))), (oil, point)
             if exact.size:
                 error = np.abs(exact - differences(function, x, 1e-3 * scale)) * scale
