@@ -23,10 +23,13 @@ LIMITS = {"cold_seconds": 30.0, "warm_seconds": 10.0}
 
 
 def cpu_name() -> str:
-    """The name of the processor, as the system gives it."""
+    """The name of the processor as the system gives it, with its family and model, which say more on rented machines."""
     info = Path("/proc/cpuinfo")
-    names = [line for line in info.read_text().splitlines() if line.startswith("model name")] if info.exists() else []
-    return names[0].split(":", 1)[1].strip() if names else platform.processor() or platform.machine()
+    lines = [line.partition(":") for line in info.read_text().splitlines()] if info.exists() else []
+    found = {key.strip(): value.strip() for key, _, value in lines}
+    if "model name" not in found:
+        return platform.processor() or platform.machine()
+    return f"{found['model name']} (family {found.get('cpu family', '?')}, model {found.get('model', '?')})"
 
 
 def machine() -> dict:

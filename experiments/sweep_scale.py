@@ -15,7 +15,6 @@ included, at least 90 % of the bare ensemble's. Writes results.json. Exits with 
 import argparse
 import json
 import os
-import platform
 import resource
 import subprocess
 import sys
@@ -25,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from first_result import machine
 
 import jaxlines as jl
 from jaxlines.catalogue import dsn70m
@@ -152,7 +152,7 @@ def main() -> int:
         command = [sys.executable, __file__, "--out", str(answer), "--lanes", str(given.lanes), "--child", folder]
         subprocess.run(command, check=True, env={**os.environ, "EQX_ON_ERROR": "nan"})
         result = json.loads(answer.read_text())
-    result["machine"] = {"processor": platform.processor(), "cores": os.cpu_count(), "load": os.getloadavg()[0]}
+    result["machine"] = machine()
     result["claims"] = {
         "memory": result["peak_memory_bytes"] <= MEMORY_LIMIT,
         "throughput": result["share"] >= SHARE_LIMIT,
