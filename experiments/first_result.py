@@ -23,7 +23,7 @@ LIMITS = {"cold_seconds": 30.0, "warm_seconds": 10.0}
 
 
 def cpu_name() -> str:
-    """The name of the processor as the system gives it, with its family and model, which say more on rented machines."""
+    """The name of the processor as the system gives it, with its family and model, which say more."""
     info = Path("/proc/cpuinfo")
     lines = [line.partition(":") for line in info.read_text().splitlines()] if info.exists() else []
     found = {key.strip(): value.strip() for key, _, value in lines}

@@ -5,8 +5,8 @@ The fits are those of `speed_fit_problem.py`, the peers those of `speed_fit_peer
 multiplied (results say so). SciPy runs on one core, and its time for many is divided by the number of cores, as if
 processes shared them without loss; Numba is given the better of that and of its own threads. Aimed at: many recordings
 100 times as fast as SciPy over its LSODA and 3 times as fast as SciPy over Numba; one recording, warm, 10 times as fast
-as the former. Claimed, on processors whose vector units are half as wide and beside other work, too: 100, 2 and 8 times;
-estimates that agree within 0.05 of a standard error.
+as the former. Claimed, also on processors whose vector units are half as wide and beside other work: 100, 2 and 8
+times; estimates that agree within 0.05 of a standard error.
 
 Writes results.json. Exits with 1 when a claim is missed.
 """
