@@ -19,13 +19,6 @@ from tests.test_readme import check_output
 ROOT = Path(__file__).parents[1]
 SITE = ROOT / "docs" / "site"
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
-HEAVY = {
-    "how-to/priors.md",
-    "first-fit.md",
-    "how-to/sweeps.md",
-    *(f"how-to/{name}.md" for name in ("check", "design", "uncertainty", "several-recordings", "long-records")),
-    *(f"how-to/{name}.md" for name in ("own-objective", "own-component")),
-}
 
 
 def blocks(page: Path) -> list[tuple[str, str]]:
@@ -34,12 +27,6 @@ def blocks(page: Path) -> list[tuple[str, str]]:
 
 
 PAGES = [page for page in sorted(SITE.rglob("*.md")) if any(kind in ("python", "console") for kind, _ in blocks(page))]
-
-
-def marked(page: Path):
-    """A page as a case; the ones that fit something are slow."""
-    name = page.relative_to(SITE).as_posix()
-    return pytest.param(page, id=name, marks=[pytest.mark.slow] if name in HEAVY else [])
 
 
 def app():
@@ -70,7 +57,7 @@ def run_python(code: str, shown: str | None, namespace: dict, name: str) -> None
         check_output(shown, output.getvalue())
 
 
-@pytest.mark.parametrize("page", [marked(page) for page in PAGES])
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(SITE).as_posix())
 def test_snippets_run(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     found, namespace = blocks(page), {"__name__": "page"}

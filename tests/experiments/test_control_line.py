@@ -17,6 +17,7 @@ FOLDER = Path(__file__).parents[2] / "experiments"
 EXAMPLES = Path(jaxlines.__file__).parent / "examples"
 
 
+@pytest.mark.slow
 def test_recovery_of_the_truth(tmp_path):
     """Every claim of the experiment holds; it also makes the recording anew and compares it byte for byte."""
     command = [sys.executable, str(FOLDER / "control_line_recovery.py"), "--out", str(tmp_path)]

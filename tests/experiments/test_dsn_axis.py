@@ -13,6 +13,7 @@ from jaxlines.catalogue import dsn70m_axis
 SCRIPT = Path(__file__).parents[2] / "experiments" / "dsn_axis.py"
 
 
+@pytest.mark.slow
 def test_tracking_with_few_segments(monkeypatch):
     """The article's claims about tracking, and what its lumped lines make of 1 to 20 Hz: sin(kL)/kL, tan(kL)/kL."""
     monkeypatch.syspath_prepend(str(SCRIPT.parent))

@@ -24,6 +24,7 @@ def run(module, folder, monkeypatch) -> tuple[int, dict]:
     return module.main(), json.loads((folder / "results.json").read_text())
 
 
+@pytest.mark.slow
 def test_order_and_errors(experiment, tmp_path, monkeypatch, capsys):
     code, result = run(experiment, tmp_path, monkeypatch)
     assert code == 0 and all(result["claims"].values())

@@ -114,7 +114,7 @@ def test_stribeck_curve():
 
 
 POSITIVE = st.floats(1e-3, 1e3)
-ANY = st.floats(-10.0, 10.0)
+ANY = st.floats(-10.0, 10.0, allow_subnormal=False)
 
 
 @given(v=ANY, coulomb=POSITIVE, excess=POSITIVE, viscous=POSITIVE, stribeck=POSITIVE, width=POSITIVE)
