@@ -63,12 +63,9 @@ def _causes(sensitivity: Sensitivity, summary: Summary) -> list[str]:
     lines = []
     for j in order:
         if key == "swing":
-            parts = [f"{name} {readable(summary.unit, values[j])}" for name, values in measures.items()]
+            parts = [f"{name} {readable(summary.unit, float(values[j]))}" for name, values in measures.items()]
         else:
-            half = {name: sensitivity.confidence.get(name) for name in measures}
-            parts = [
-                f"{name} {values[j]:.3g}" + ("" if half[name] is None else f" +- {half[name][j]:.1g}")
-                for name, values in measures.items()
-            ]
+            half = {name: f" +- {widths[j]:.1g}" for name, widths in sensitivity.confidence.items() if name in measures}
+            parts = [f"{name} {values[j]:.3g}{half.get(name, '')}" for name, values in measures.items()]
         lines.append(f"{sensitivity.names[j]}: {', '.join(parts)}")
     return lines

@@ -11,10 +11,9 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from jaxlines.simulation.plan import Plan, Values, ravel, unravel
-from jaxlines.simulation.vector_field import contributions, rates, sampled
+from jaxlines.simulation.vector_field import balances, sampled
 
 _NEWTON_STEPS, _TRANSIENT_STEPS, _ATTEMPTS = 60, 400, 4
 _LARGEST_CHANGE, _SHORTEST = 20.0, 1e-5
@@ -33,23 +32,13 @@ def _precision(y) -> Precision:
     return Precision(1e-12, 1e-10, 1e-7) if y.dtype == jnp.float64 else Precision(1e-6, 3e-5, 1e-3)
 
 
-def capacities(plan: Plan, values: Values, potentials, states):
-    """Sum of the capacities at each free node in SI, shape (nodes,)."""
-    total = jnp.zeros(len(plan.free_nodes), jnp.result_type(potentials))
-    for kind, done in zip(plan.kinds, contributions(plan, values, 0.0, potentials, states), strict=True):
-        for port in kind.ports:
-            if port.name in done.capacity and not port.fixed:
-                total = total.at[np.asarray(port.index)].add(done.capacity[port.name])
-    return total
-
-
 def unbalance(plan: Plan, values: Values, y):
     """g and M: net flow into each node (typical potential times SI capacity per second) or rate of each scaled state
     [1/s]; capacities of the nodes, 1 for states. Of sampled controllers g is the change at a sampling instant."""
     potentials, states = unravel(plan, y)
-    own = capacities(plan, values, potentials, states)
-    weights = jnp.concatenate([own, jnp.ones(y.size - own.size, y.dtype)])
-    flow = weights * ravel(plan, *rates(plan, values, 0.0, potentials, states))
+    capacity, flow, state_rates = balances(plan, values, 0.0, potentials, states)
+    weights = jnp.concatenate([capacity, jnp.ones(y.size - capacity.size, y.dtype)])
+    flow = ravel(plan, flow, state_rates)
     if any(controller.sampled for controller in plan.controllers):
         after = sampled(plan, values, 0.0, lambda period: True, potentials, states)
         flow = flow + ravel(plan, potentials, after) - y

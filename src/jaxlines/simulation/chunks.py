@@ -28,7 +28,7 @@ def workers() -> int:
 
 def devices() -> list:
     """The devices that chunks are dealt out to in turn: all of the kind that JAX prefers, or the one it was told."""
-    told = jax.config.jax_default_device
+    told = getattr(jax.config, "jax_default_device")  # noqa: B009, since stubs do not know it
     return jax.local_devices() if told is None or isinstance(told, str) else [told]
 
 

@@ -175,16 +175,29 @@ def _sum_at_nodes(done: list[dict], incidence: Incidence):
     return sums[0] if len(sums) == 1 else jnp.concatenate(sums)[np.asarray(incidence.order)]
 
 
-def rates(plan: Plan, values: Values, t, potentials, states) -> tuple[Any, tuple[dict, ...]]:
-    """The vector field: rates of the potentials, flow / capacity, and of the states of each kind, in SI."""
+class Balance(NamedTuple):
+    """Capacities of the free nodes and flows into them, shape (nodes, [lanes]); rates of the states of each kind."""
+
+    capacity: Any
+    flow: Any
+    state_rates: tuple[dict, ...]
+
+
+def balances(plan: Plan, values: Values, t, potentials, states) -> Balance:
+    """The sums at the free nodes and the rates of the states, in SI."""
     done = contributions(plan, values, t, potentials, states)
     state_rates = tuple(
         {name: c.rate.get(name, jnp.zeros_like(value)) for name, value in block.items()}
         for c, block in zip(done, states, strict=True)
     )
     if not plan.free_nodes:
-        return jnp.zeros(0), state_rates
+        return Balance(jnp.zeros(0), jnp.zeros(0), state_rates)
     capacity = _sum_at_nodes([c.capacity for c in done], plan.capacity)
-    if not plan.flow.ports:
-        return jnp.zeros_like(capacity), state_rates
-    return _sum_at_nodes([c.flow for c in done], plan.flow) / capacity, state_rates
+    flow = _sum_at_nodes([c.flow for c in done], plan.flow) if plan.flow.ports else jnp.zeros_like(capacity)
+    return Balance(capacity, flow, state_rates)
+
+
+def rates(plan: Plan, values: Values, t, potentials, states) -> tuple[Any, tuple[dict, ...]]:
+    """The vector field: rates of the potentials, flow / capacity, and of the states of each kind, in SI."""
+    capacity, flow, state_rates = balances(plan, values, t, potentials, states)
+    return flow / capacity, state_rates
