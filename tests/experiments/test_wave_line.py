@@ -33,6 +33,7 @@ def test_order_and_errors(experiment, tmp_path, monkeypatch, capsys):
     assert (tmp_path / "wave_line.svg").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_a_wrong_line_is_noticed(experiment, tmp_path, monkeypatch):
     """A bore 5 % too large in the simulated line breaks the claims."""
     monkeypatch.setattr(experiment, "PIPE", experiment.jl.Pipe(experiment.LENGTH, 1.05 * experiment.BORE, 0.5))
