@@ -71,6 +71,7 @@ def computed_record(count: int) -> pd.DataFrame:
     return pd.DataFrame({"k": samples, "u_valve": valve, "p_oil": rows[:, 0], "x_crane": rows[:, 1]})
 
 
+@pytest.mark.slow
 def test_a_computed_crane_is_found_again_and_predicted(load, tmp_path):
     """Starts are 30 and 40 % off; the smooth opening of the study's valve differs a little from the sharp one here."""
     record = computed_record(160)

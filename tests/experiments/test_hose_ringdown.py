@@ -52,6 +52,7 @@ def run_script(data: Path, out: Path, *options: str) -> tuple[int, dict, str]:
     return done.returncode, json.loads((out / "results.json").read_text()), done.stdout
 
 
+@pytest.mark.slow
 def test_two_lumps_are_found_in_computed_runs(tmp_path):
     """One lump misses the second mode; both find the first. The computed stop is a ramp, the fitted one is smooth."""
     runs = [computed_run(seed).assign(run_id=seed) for seed in range(3)]

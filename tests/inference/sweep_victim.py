@@ -9,7 +9,7 @@ from jaxlines.inference.sweep_plan import SweepPlan
 from .sweep_cases import ANGLES, Analytic
 
 PLAN = SweepPlan(Analytic("ishigami", ("a", "b", "c"), outputs=("wave",), pause=0.008), ANGLES, MonteCarlo(1))
-COUNT = 1200
+COUNT = 2400
 
 
 def main(folder: str) -> None:

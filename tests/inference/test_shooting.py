@@ -232,6 +232,7 @@ class Lorenz(AbstractComponent):
         return Contribution(rate=rate)
 
 
+@pytest.mark.slow
 def test_a_chaotic_circuit_is_fitted_where_no_trajectory_follows():
     """27 Lyapunov times: errors grow 5e11-fold, more than any tolerance allows."""
     times, measured = attractor(30.0, 900)

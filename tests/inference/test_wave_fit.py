@@ -1,6 +1,7 @@
 """A fit through a line in segments, whose number is chosen once, for the slowest waves within the bounds."""
 
 import numpy as np
+import pytest
 
 import jaxlines as jl
 
@@ -15,6 +16,7 @@ def circuit(modulus, viscosity) -> jl.Circuit:
     return jl.Circuit(oil, {"line": line, "pump": jl.FlowSource("A", "flow")})
 
 
+@pytest.mark.slow
 def test_modulus_and_viscosity_from_a_ringing_line():
     """Truth within three standard deviations, from starts 30 % and more away, noise 2 kPa on a swing of 1 MPa."""
     flow = 1e-4 * np.where(TIMES < 0.1, np.sin(np.pi * TIMES / 0.1) ** 2, 0.0)

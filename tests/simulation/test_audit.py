@@ -64,6 +64,7 @@ def test_errors_follow_the_tolerance_over_a_jump():
     assert errors[0] > 10 * errors[1] > 100 * errors[2]
 
 
+@pytest.mark.slow
 def test_slow_states_and_segments_keep_their_mass():
     """A hose that creeps, air that dissolves slowly, a line in segments, an accumulator: mass from states alone."""
     oil = jl.Oil(1.4e9, 850.0, 30e-6, 0.01, air=jl.KineticAir(jl.PolynomialSolubility(), 0.1, 5.0))

@@ -183,6 +183,7 @@ def stored_mass(sim, name: str, node: str, to: str):
     return np.tensordot(cut(line.segments, "pi").volumes, mass, 1)
 
 
+@pytest.mark.slow
 def test_mass_is_conserved_through_cavitation_and_back():
     """A closed line whose inlet is drawn down to 2 kPa, where air fills most of it, and brought back."""
     oil = jl.Oil(1.4e9, 870.0, 30e-6, air_fraction=0.003, polytropic_index=1.2)
