@@ -22,8 +22,8 @@ DERIVATIVES = (
 
 LOOPS = (
     "Samples of the processor's counter (perf, 4096 lanes, two cores of Zen 4): 78 % of a float32 run is spent in the "
-    "compiled loops, 7 % in XLA's runtime between them, 15 % in Python and in copying outputs; in float64 84 %, 5 % and "
-    "11 %. The C program keeps the state of its lanes in registers through a whole step and has nothing between loops."
+    "compiled loops, 7 % in XLA's runtime between them, 15 % in Python and in copying outputs; in float64 84 %, 5 % "
+    "and 11 %. The C program keeps the state of its lanes in registers through a step, with nothing between loops."
 )
 """Why the explicit engine is slower than C with the same scheme."""
 
