@@ -11,12 +11,11 @@ competitor in the same run, at an error no smaller than ours. Times depend on th
 """
 
 DERIVATIVES = (
-    "A step backwards computes its stages again, their partial derivatives, and the transposed products. Over a forward "
-    "run, with 128, 256, 512, 1024 and 2048 lanes at once, a gradient costs 7.9, 6.4, 6.1, 5.9 and 5.8 times as much, the "
-    "Jacobian 6.8, 5.9, 7.7, 7.7 and 8.0 times: memory limits the Jacobian from 512 lanes on, but not the gradient. "
-    "Where the rest of its time goes has not been established."
+    "A step backwards computes its stages again, their partial derivatives, and the transposed products. With 128, "
+    "256, 512, 1024 and 2048 lanes at once a gradient costs 7.9, 6.4, 6.1, 5.9 and 5.8 forward runs, the Jacobian "
+    "6.8, 5.9, 7.7, 7.7 and 8.0. Where the rest of the gradient's time goes has not been established."
 )
-"""Why derivatives cost more than was aimed at; measured with jaxlib 0.10 on two cores of Zen 4."""
+"""What is known of the cost of derivatives; measured with jaxlib 0.10 on two cores of Zen 4."""
 
 LOOPS = (
     "Samples of the processor's counter (perf, 4096 lanes, two cores of Zen 4): 78 % of a float32 run is spent in the "
