@@ -10,20 +10,6 @@ Made from the `results.json` of the scripts in `experiments/`, which anyone can 
 competitor in the same run, at an error no smaller than ours. Times depend on the machine; ratios less so.
 """
 
-DERIVATIVES = (
-    "A step backwards computes its stages again, their partial derivatives, and the transposed products. With 128, "
-    "256, 512, 1024 and 2048 lanes at once a gradient costs 7.9, 6.4, 6.1, 5.9 and 5.8 forward runs, the Jacobian "
-    "6.8, 5.9, 7.7, 7.7 and 8.0. Where the rest of the gradient's time goes has not been established."
-)
-"""What is known of the cost of derivatives; measured with jaxlib 0.10 on two cores of Zen 4."""
-
-LOOPS = (
-    "Samples of the processor's counter (perf, 4096 lanes, two cores of Zen 4): 78 % of a float32 run is spent in the "
-    "compiled loops, 7 % in XLA's runtime between them, 15 % in Python and in copying outputs; in float64 84 %, 5 % "
-    "and 11 %. The C program keeps the state of its lanes in registers through a step, with nothing between loops."
-)
-"""Why the explicit engine is slower than C with the same scheme."""
-
 
 def performance_page() -> str:
     """Ensembles, fits, sweeps, first result: each as far as its results are there."""
@@ -88,10 +74,8 @@ def _why_not_faster(result: dict) -> list[str]:
                 f"{wanted / bound[kind]:.0%} of what C with the same scheme and SIMD over lanes does on this machine "
                 f"({bound[kind]:,.0f})."
             )
-        elif "SIMD" in claim["name"]:
-            lines.append(f"- {claim['name']}: {claim['value']:.2g} instead of {claim['aim']:g}. {LOOPS}")
-        elif claim["name"].startswith(("gradient", "Jacobian")):
-            lines.append(f"- {claim['name']}: {claim['value']:.2g} instead of {claim['aim']:g}. {DERIVATIVES}")
+        else:
+            lines.append(f"- {claim['name']}: {claim['value']:.2g} instead of {claim['aim']:g}.")
     return ["", "### What was aimed at and missed", "", *lines] if lines else []
 
 

@@ -42,6 +42,15 @@ class LeastSquaresProblem(Protocol):
         ...
 
 
+def checked_bounds(count: int, lower, upper) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of so many parameters, infinite where none are given. Raises: ValueError unless each pair increases."""
+    lower, upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
+    lower, upper = (b if b.size else np.full(count, free) for b, free in ((lower, -np.inf), (upper, np.inf)))
+    if lower.shape != (count,) or upper.shape != (count,) or not np.all(lower < upper):
+        raise ValueError(f"bounds need one increasing pair for each of {count} parameters, got {lower} and {upper}")
+    return lower, upper
+
+
 @dataclasses.dataclass(frozen=True)
 class FunctionProblem:
     """A least-squares problem of a function written in JAX, so that a model of any kind can be fitted.
@@ -63,13 +72,8 @@ class FunctionProblem:
     def __post_init__(self):
         count = len(self.labels)
         object.__setattr__(self, "labels", tuple(self.labels))
-        for name, default in (("lower", -np.inf), ("upper", np.inf)):
-            given = np.asarray(getattr(self, name), dtype=float)
-            object.__setattr__(self, name, given if given.size else np.full(count, default))
-        if self.lower.shape != (count,) or self.upper.shape != (count,) or not np.all(self.lower < self.upper):
-            raise ValueError(
-                f"bounds need one increasing pair for each of {count} parameters, got {self.lower} and {self.upper}"
-            )
+        for name, bound in zip(("lower", "upper"), checked_bounds(count, self.lower, self.upper), strict=True):
+            object.__setattr__(self, name, bound)
         rows = self._num_rows()
         for name, default in (("recording", np.zeros), ("channel", np.zeros), ("time", np.arange)):
             given = np.asarray(getattr(self, name), dtype=int)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxlines.inference.least_squares_problem import checked_bounds
 from jaxlines.inference.search import OFFSET_LIMIT
 from jaxlines.inference.shooting_equations import Pieces
 from jaxlines.inference.shooting_search import CONTINUOUS, At, Joined, Unstartable, join
@@ -40,13 +41,8 @@ class FunctionWindows:
 
         count = len(self.labels)
         object.__setattr__(self, "units", np.asarray(self.units, dtype=float))
-        for name, default in (("lower", -np.inf), ("upper", np.inf)):
-            given = np.asarray(getattr(self, name), dtype=float)
-            object.__setattr__(self, name, given if given.size else np.full(count, default))
-        if self.lower.shape != (count,) or self.upper.shape != (count,) or not np.all(self.lower < self.upper):
-            raise ValueError(
-                f"bounds need one increasing pair for each of {count} parameters, got {self.lower} and {self.upper}"
-            )
+        for name, bound in zip(("lower", "upper"), checked_bounds(count, self.lower, self.upper), strict=True):
+            object.__setattr__(self, name, bound)
         if not (self.units.ndim == 1 and np.all(self.units > 0.0)):
             raise ValueError(f"units must be one positive size for each state, got {self.units}")
         shapes = [np.shape(part) for part in jax.tree.leaves(self.data)]
