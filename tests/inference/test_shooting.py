@@ -1,5 +1,7 @@
 """Multiple shooting: the optimum of a single trajectory where that can be found, and the truth where it cannot."""
 
+from typing import Any, cast
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -122,10 +124,14 @@ def test_an_interrupted_search_in_windows_goes_on(tmp_path):
 
 
 def test_wrong_calls_are_refused():
-    with pytest.raises(ValueError, match=r"windows must be 1..300 for the 601 samples of recording .*, got 301"):
+    with pytest.raises(
+        ValueError, match=r"windows must be a whole number 1..300 for the 601 samples of recording .*, got 301"
+    ):
         fitted(1e6, windows=301)
-    with pytest.raises(ValueError, match=r"windows must be 1..300 .*, got 0"):
+    with pytest.raises(ValueError, match=r"windows must be a whole number 1..300 .*, got 0"):
         fitted(1e6, windows=0)
+    with pytest.raises(ValueError, match=r"windows must be a whole number 1..300 .*, got 2.5"):
+        fitted(1e6, windows=cast(Any, 2.5))
     late = resonator().components | {"sensor": jl.PressureSensor("A", delay=1e-3)}
     recording = jl.Recording(ringing(2).times, {"sensor": ringing(2).channels["A.pressure"]})
     with pytest.raises(ValueError, match="and sensor remembers more"):

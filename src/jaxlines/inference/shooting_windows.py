@@ -250,10 +250,10 @@ def cut_recordings(problem: JointProblem, windows: int) -> CutRecordings:
     cuts = []
     for trial in problem.trials:
         intervals = trial.recording.times.size - 1
-        if not 1 <= windows <= intervals // 2:
+        if windows != int(windows) or not 1 <= windows <= intervals // 2:
             raise ValueError(
-                f"windows must be 1..{intervals // 2} for the {intervals + 1} samples of {trial.recording.name} (two "
-                f"intervals each at least), got {windows}"
+                f"windows must be a whole number 1..{intervals // 2} for the {intervals + 1} samples of "
+                f"{trial.recording.name} (two intervals each at least), got {windows}"
             )
         past = [sensor.name for sensor in trial.plan.sensors if sensor.delayed]
         past += [name for c in trial.plan.controllers if c.sampled for name in trial.plan.kinds[c.kind].members]
