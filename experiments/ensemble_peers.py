@@ -114,6 +114,20 @@ def best_seconds(work: Callable[[], object], repeats: int) -> float:
     return min(found)
 
 
+def interleaved(calls: dict[str, Callable], repeats: int) -> dict[str, float]:
+    """Best seconds of some calls, taken in turn so that a slow spell of the machine meets all of them."""
+    best = {}
+    for name, call in calls.items():
+        call()  # compiles
+        best[name] = np.inf
+    for _ in range(repeats):
+        for name, call in calls.items():
+            began = time.perf_counter()
+            call()
+            best[name] = min(best[name], time.perf_counter() - began)
+    return {name: float(seconds) for name, seconds in best.items()}
+
+
 def in_threads(work: Callable, pieces: list) -> list:
     """work(piece) for all pieces, on all cores by threads, in order; for work that lets go of the interpreter."""
     if CORES == 1 or len(pieces) == 1:

@@ -5,9 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxlines.simulation.evaluation import boundary, evaluate
+from jaxlines.simulation.evaluation import boundary, evaluate, layer_by_layer, layers, put_down
 from jaxlines.simulation.expression import Graph
-from jaxlines.simulation.fast_math import log
 from tests.physics.test_components import OILS, PARTS, oils_for, results, situation
 
 LANES = 2
@@ -129,15 +128,35 @@ def test_structural_zeros_and_what_does_not_move():
     assert slope.item().is_constant(1.0)
 
 
-def test_logarithm():
-    rng = np.random.default_rng(0)
-    x = np.concatenate([rng.uniform(0.5, 2.0, 2000), 10.0 ** rng.uniform(-300, 300, 2000), [1.0, 1.0 + 1e-12, 5e-324]])
-    with np.errstate(divide="ignore"):
-        exact = np.log(np.where(x < 2.3e-308, 0.0, x))
-    found = np.asarray(jax.jit(log)(x))
-    good = np.isfinite(exact)
-    assert np.max(np.abs(found[good] - exact[good]) / np.maximum(1.0, np.abs(exact[good]))) < 4e-16
-    assert np.max(np.abs(found[:2000] / exact[:2000] - 1.0)) < 5e-16
-    assert found[-1] == -np.inf
-    special = np.asarray(jax.jit(log)(np.array([0.0, -1.0, np.inf, np.nan])))
-    np.testing.assert_array_equal(special, [-np.inf, np.nan, np.inf, np.nan])
+def several(x, y):
+    """Three results that share a root and a power."""
+    root, power = 1.0 / jnp.sqrt(jnp.sqrt(1.0 + x * x)), jnp.exp(-1.3 * jnp.log(2.0 + y))
+    return root * power, root + power * x, root - 3.0 * power
+
+
+def test_layers():
+    """What several results need is computed first, and once: the root and the power, not what is made of them."""
+    graph = Graph()
+    names = [graph.input(("state", k), np.float64, True) for k in range(2)]
+    jaxpr = jax.make_jaxpr(several)(0.5, 0.5)
+    nodes = [array.item() for array in graph.outputs(jaxpr, *(np.array(name, dtype=object) for name in names))]
+    found = layers(nodes)
+    assert {node.primitive.name for layer in found for node in layer} == {"inverse_fourth_root", "exp2"}
+    numbers = (np.linspace(0.1, 2.0, 8), np.linspace(3.0, -1.0, 8))
+
+    @jax.jit
+    def in_layers(x, y):
+        known = layer_by_layer(found, dict(zip(names, (x, y), strict=True)), x[0] > 0.0)
+        return evaluate(nodes, known)
+
+    for value, exact in zip(in_layers(*numbers), several(*numbers), strict=True):
+        np.testing.assert_allclose(value, exact, rtol=1e-14)
+
+
+def test_results_put_down_in_an_array():
+    """Numbers and lanes go into the rows of an array; a branch that is not taken leaves it as it is."""
+    room = jnp.full((2, 4), 7.0)
+    lanes = jnp.arange(4.0)
+    fill = jax.jit(lambda always, room: put_down(always, lambda: (lanes, 3.0), room))
+    np.testing.assert_array_equal(fill(True, room), [[0.0, 1.0, 2.0, 3.0], [3.0] * 4])
+    np.testing.assert_array_equal(fill(False, room), room)

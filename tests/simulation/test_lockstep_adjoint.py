@@ -1,4 +1,4 @@
-"""Gradients backwards in time: against a closed form, in any chunks, with few or many steps kept at once."""
+"""Gradients backwards in time: against a closed form, in any chunks, with few or all steps stored at once."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -49,8 +49,8 @@ def test_bitwise_the_same_in_any_chunks(program, gradient):
 
 
 def test_fewer_steps_at_once(program, gradient, monkeypatch):
-    """Where the partial derivatives of an interval would fill the cache, it is done in parts."""
-    monkeypatch.setattr(lockstep_adjoint, "KEPT_BYTES", 1)
+    """Where the steps would fill the memory, they are stored for a part of the samples at a time."""
+    monkeypatch.setattr(lockstep_adjoint, "STORED_BYTES", 1)
 
     def objective(times, outputs):  # another one, so that it is compiled with the limit
         return jnp.asarray(final_pressure(times, outputs))

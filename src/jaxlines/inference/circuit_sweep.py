@@ -123,7 +123,8 @@ class CircuitProgram:
     def _derivatives(self, varied: dict[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]]:
         """Reduction that has derivatives -> path -> exact derivatives, shape (lanes,)."""
         lanes: Varied = {**varied}
-        return ensemble_jacobian(self._differentiable, lanes, chunk=DERIVATIVE_LANES).reduction_slopes
+        chunk = DERIVATIVE_LANES[self._differentiable.precision]
+        return ensemble_jacobian(self._differentiable, lanes, chunk=chunk).reduction_slopes
 
     @functools.cached_property
     def _differentiable(self) -> EnsembleProgram:

@@ -22,14 +22,18 @@ _PRESSURE_FLOOR = 1.0
 # with air grows infinitely compliant as p -> 0; the floor keeps such a trial finite so it can be rejected.
 
 
+def _at_least(x, floor):
+    """The larger of two numbers, with the derivative of x where they are equal: one selection, as is its derivative."""
+    return array_module(x, floor).where(x < floor, floor, x)
+
+
 def gas_modulus(p, polytropic_index, vapour_pressure=0.0):
     """Tangent modulus of a bubble, n (p - p_v) [Pa].
 
     Args: p absolute [Pa]; polytropic_index n [-]; vapour_pressure p_v of the liquid [Pa], 0 for a bubble of
         air alone.
     """
-    air = array_module(p, polytropic_index, vapour_pressure).maximum(p - vapour_pressure, _PRESSURE_FLOOR)
-    return polytropic_index * air
+    return polytropic_index * _at_least(p - vapour_pressure, _PRESSURE_FLOOR)
 
 
 def gas_volume(p, polytropic_index, vapour_pressure=0.0):
@@ -41,7 +45,7 @@ def gas_volume(p, polytropic_index, vapour_pressure=0.0):
         cavitation", J. Fluids Engineering 106, 1984 (unverified: quoted from memory).
     """
     xp = array_module(p, polytropic_index, vapour_pressure)
-    air = xp.maximum(p - vapour_pressure, _PRESSURE_FLOOR)
+    air = _at_least(p - vapour_pressure, _PRESSURE_FLOOR)
     return xp.exp(-xp.log(air / (ATMOSPHERE - vapour_pressure)) / polytropic_index)
 
 
@@ -192,4 +196,4 @@ class LegacySimscapeAir(AbstractAir):
         return 0.0
 
     def gas_pressure(self, p):
-        return array_module(self, p).maximum(p, self.pressure_floor)
+        return _at_least(p, self.pressure_floor)

@@ -5,7 +5,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from jaxlines.simulation.evaluation import boundary, evaluate
+from jaxlines.simulation.evaluation import boundary, evaluate, layer_by_layer, layers
 from jaxlines.simulation.lane_signals import LaneSignals
 from jaxlines.simulation.node import Node
 
@@ -19,14 +19,22 @@ class BoundField:
     A state is a tuple of arrays (lanes,), in the order of `LaneField.state_names`.
     """
 
-    def __init__(self, field: LaneField, values, columns, known: dict, t, shape, partials: bool, differentiated: tuple):
+    def __init__(
+        self, field: LaneField, values, columns, known: dict, t, shape, derivatives: str, differentiated: tuple
+    ):
         self.field, self.columns, self.shape, self.differentiated = field, columns, shape, differentiated
         self._signals = LaneSignals(values, field.tags, len(columns))
         self._places = [i for i, name in enumerate(field.inputs()) if self._is_wanted(name)]
-        rows = [self._partials(which) if partials else [] for which in ("rates", "outputs")]
+        kinds = ("rates", "outputs")
+        rows = [self._partials(which) if derivatives == "partials" else [] for which in kinds]
         self.rate_partials, self.output_partials = rows
+        self._pulled = {which: self._pull(which) for which in kinds} if derivatives == "pulled" else {}
         self._start_known = known | field.moving(self.signals(t))
         nodes = [*field.rates, *field.outputs, *(node for part in rows for row in part for node in row.values())]
+        nodes += [node for part in self._pulled.values() for node in part.values()]
+        behind = [node for row in self.rate_partials for node in row.values()]
+        behind += self._pulled.get("rates", {}).values()
+        self._layers = layers([*field.rates, *behind]) if behind else []
         once = boundary(nodes)
         self._once = dict(zip(once, evaluate(once, known), strict=True))
 
@@ -40,6 +48,10 @@ class BoundField:
         places = [*range(size), *(size + i for i in self._places)]
         rows = self.field.partials(which, [*self.field.state_names, *(inputs[i] for i in self._places)])
         return [{places[k]: node for k, node in row.items()} for row in rows]
+
+    def _pull(self, which: str) -> dict[int, Node]:
+        """Derivatives of weighted sums in the states (0..), the columns and, after them, the signals."""
+        return self.field.pulled(which, [*self.field.state_names, *self.field.inputs()])
 
     def signals(self, t) -> list:
         """What the signals are at time t."""
@@ -71,35 +83,45 @@ class BoundField:
         """The wanted outputs in a state, shape (wanted, lanes)."""
         return jnp.stack(self._broadcast(evaluate(self.field.outputs, self._known(signals, state))))
 
-    def rates_and_partials(self, signals, state: tuple) -> tuple[tuple, list[dict[int, Any]]]:
-        """The rates, and for each the derivatives in the states (0..) and in the inputs after them."""
-        return self._with_partials(self.field.rates, self.rate_partials, signals, state)
+    def rates_and_partials(self, signals, state: tuple, always) -> tuple[tuple, list[dict[int, Any]]]:
+        """The rates, and for each the derivatives in the states (0..) and in the inputs after them.
+
+        always: see `kept_apart`.
+        """
+        known = layer_by_layer(self._layers, self._known(signals, state), always)
+        return self._with_partials(self.field.rates, self.rate_partials, known)
 
     def outputs_and_partials(self, signals, state: tuple) -> tuple[tuple, list[dict[int, Any]]]:
         """The outputs, and for each the derivatives in the states and in the inputs after them."""
-        return self._with_partials(self.field.outputs, self.output_partials, signals, state)
+        return self._with_partials(self.field.outputs, self.output_partials, self._known(signals, state))
 
-    def _with_partials(self, nodes, rows, signals, state):
-        every = [*nodes, *(node for row in rows for node in row.values())]
-        found = self._broadcast(evaluate(every, self._known(signals, state)))
+    def _with_partials(self, nodes, rows, known: dict):
+        found = self._broadcast(evaluate([*nodes, *(node for row in rows for node in row.values())], known))
         values, rest = tuple(found[: len(nodes)]), iter(found[len(nodes) :])
         return values, [{k: next(rest) for k in row} for row in rows]
 
-    def rates_and_moving_partials(self, signals, state: tuple) -> tuple[tuple, tuple]:
-        """The rates, and those numbers of their partial derivatives that change in time; see `rate_rows`."""
-        found = self._broadcast(evaluate([*self.field.rates, *self.moving_partials], self._known(signals, state)))
-        return found[: self.field.size], found[self.field.size :]
+    def rates_and_pulled(self, signals, state: tuple, weights: tuple, always) -> tuple[tuple, dict[int, Any]]:
+        """The rates, and the derivatives of their weighted sum in the states (0..), the columns and the signals.
 
-    @property
-    def moving_partials(self) -> list[Node]:
-        """Partial derivatives of the rates that change in time."""
-        return list(dict.fromkeys(n for row in self.rate_partials for n in row.values() if n.moving))
+        always: see `kept_apart`.
+        """
+        known = self._known(signals, state) | self.field.weighed("rates", weights)
+        known = layer_by_layer(self._layers, known, always)
+        pulled = self._pulled["rates"]
+        found = self._broadcast(evaluate([*self.field.rates, *pulled.values()], known))
+        return found[: self.field.size], dict(zip(pulled, found[self.field.size :], strict=True))
 
-    def rate_rows(self, moving: tuple) -> list[dict[int, Any]]:
-        """Partial derivatives of the rates from those numbers of them that change in time."""
-        known = self._once | dict(zip(self.moving_partials, moving, strict=True))
-        found = iter(evaluate([node for row in self.rate_partials for node in row.values()], known))
-        return [{k: next(found) for k in row} for row in self.rate_partials]
+    def pull_outputs(self, signals, state: tuple, weights: tuple) -> dict[int, Any]:
+        """Derivatives of a weighted sum of the outputs in the states (0..), the columns and the signals."""
+        return self._pull_known(self._pulled["outputs"], "outputs", self._known(signals, state), weights)
+
+    def pull_start(self, weights: tuple) -> dict[int, Any]:
+        """The same for a weighted sum of the states at the start, which depend on columns and signals."""
+        return self._pull_known(self._pull("start"), "start", self._start_known, weights)
+
+    def _pull_known(self, pulled: dict[int, Node], which: str, known: dict, weights: tuple) -> dict[int, Any]:
+        found = evaluate(list(pulled.values()), known | self.field.weighed(which, weights))
+        return dict(zip(pulled, self._broadcast(found), strict=True))
 
     @property
     def varies_signals(self) -> bool:

@@ -24,7 +24,7 @@ def compiler_options(platform: str, engine: str) -> dict[str, Any] | None:
     """
     if platform != "cpu":
         return None
-    options: dict[str, Any] = {"xla_cpu_prefer_vector_width": "512"}
+    options: dict[str, Any] = {"xla_cpu_prefer_vector_width": "512", "xla_cpu_multi_thread_eigen": False}
     if engine != "explicit":
         options["xla_cpu_use_fusion_emitters"] = False
     return options if _known(tuple(options.items())) else None

@@ -126,7 +126,7 @@ class EnsembleProgram:
         bad = out_of_range(self.circuit, list(self.paths), columns)
         good = np.flatnonzero(~bad)
         found = _Found(self, bad.size)
-        found.status[bad] = LANE_STATUS["out_of_range"]
+        found.leave_out(bad)
         if good.size:
             self._run_lanes(columns, good, self.steps, found, chunk, progress)
             self._run_again(columns, good, found, chunk, progress)
@@ -198,10 +198,16 @@ class _Found:
     def __init__(self, program: EnsembleProgram, lanes: int):
         self.program = program
         series, kind = (len(program.program.kept), len(program.times), lanes), program.precision
-        self.series = np.full(series, np.nan, kind)
-        self.reduced = np.full((len(program.program.reductions), lanes), np.nan, kind)
+        self.series = np.empty(series, kind)  # filled by the threads that compute it
+        self.reduced = np.empty((len(program.program.reductions), lanes), kind)
         self.status = np.zeros(lanes, np.int8)
         self.error = np.full(lanes, np.nan)
+
+    def leave_out(self, bad: np.ndarray) -> None:
+        """Flag lanes whose numbers are out of range: they are not run."""
+        self.status[bad] = LANE_STATUS["out_of_range"]
+        self.series[..., bad] = np.nan
+        self.reduced[:, bad] = np.nan
 
     def write(self, part: np.ndarray, result: ChunkResult) -> None:
         """Write down what a chunk gave; lanes that are not finite leave no numbers behind."""

@@ -80,11 +80,11 @@ def numbers_of_lane(program: LaneProgram, values: Values, numbers) -> Values:
 
 
 def small_field(
-    program: LaneProgram, values: Values, columns, t, partials: bool = False, differentiated=None
+    program: LaneProgram, values: Values, columns, t, derivatives: str = "", differentiated=None
 ) -> BoundField:
-    """The vector field of the lanes of a small circuit; differentiated: see `LaneField.bind`."""
+    """The vector field of the lanes of a small circuit; derivatives, differentiated: see `LaneField.bind`."""
     field = LaneField(program.plan, values, program.places, program.observed, program.fixed)
-    return field.bind(values, columns, t, partials, differentiated)
+    return field.bind(values, columns, t, derivatives, differentiated)
 
 
 def field_of(program: LaneProgram, values: Values, columns, t) -> BoundField | BlockField:
@@ -175,7 +175,9 @@ def chunk_tangent(program: LaneProgram, values: Values, columns, grid, steps, di
     """
     differentiated = tuple(range(len(columns)) if differentiated is None else differentiated)
     if program.small and program.engine == "explicit":
-        return march_tangent(small_field(program, values, columns, grid[0, -1], True, differentiated), grid, steps)
+        return march_tangent(
+            small_field(program, values, columns, grid[0, -1], "partials", differentiated), grid, steps
+        )
 
     def outputs(columns):
         return marched(program, values, columns, grid, steps)[0]

@@ -1,13 +1,14 @@
 """Values of expressions, for all lanes at once, and what of them is computed once before a loop."""
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlines.simulation.fast_math import FAST
+from jaxlines.simulation.fast_math import EXP2, INVERSE_FOURTH_ROOT, INVERSE_ROOT, LOG2
 from jaxlines.simulation.node import Node
 
 
@@ -51,9 +52,7 @@ def _spread(args: list) -> list:
 
 def _call(node: Node, args: list):
     """The value of an element-wise operation."""
-    spread = _spread(args)
-    fast = FAST.get(node.primitive.name) if node.dtype == np.float64 else None
-    return fast(*spread) if fast else node.primitive.bind(*spread, **node.params)
+    return node.primitive.bind(*_spread(args), **node.params)
 
 
 def _call_whole(node: Node, args: list) -> list:
@@ -78,7 +77,7 @@ def _call_whole(node: Node, args: list) -> list:
 
 COSTLY = frozenset(
     ("div", "exp", "log", "log1p", "expm1", "pow", "sqrt", "rsqrt", "cbrt", "sin", "cos", "tan", "tanh", "atan2")
-)
+) | {INVERSE_ROOT.name, INVERSE_FOURTH_ROOT.name, EXP2.name, LOG2.name}
 """Operations that cost more than reading their result."""
 
 
@@ -117,3 +116,98 @@ def _varied(nodes) -> set[Node]:
         if (node.name is not None and node.name[0] == "column") or any(a in found for a in node.args):
             found.add(node)
     return found
+
+
+_COSTS = {EXP2.name: 22, LOG2.name: 30, INVERSE_ROOT.name: 16, INVERSE_FOURTH_ROOT.name: 20, "div": 8, "sqrt": 12}
+"""Multiplications that an operation takes as long as; those not named: one."""
+
+READING, WRITING = 2, 30
+"""Multiplications that it takes as long as to read an array, and to write one down in a layer of its own."""
+
+
+def layers(wanted: Sequence[Node]) -> list[list[Node]]:
+    """Moving nodes that several of the wanted ones need, to be computed first, one layer after the other.
+
+    XLA computes each result in a loop of its own, and what several need in each of these loops anew. Those nodes are
+    chosen, the best first, that save more than it costs to write them down and to read them.
+    """
+    among = {n for n in _in_order(list(wanted), {}) if n.moving and n.args}
+    chosen: dict[Node, set[Node]] = {}
+    while True:
+        cones = [_cone(result, among, chosen) for result in wanted] + list(chosen.values())
+        counts = Counter(node for cone in cones for node in cone)
+        better: dict[Node, tuple[float, set[Node]]] = {}
+        for node, count in counts.items():
+            if count > 1 and node not in wanted and node.whole is None and np.issubdtype(node.dtype, np.floating):
+                cone = _cone(node, among, chosen)
+                saved = (_cost(cone) - READING) * (count - 1) - READING - WRITING
+                if saved > 0:
+                    better[node] = saved, cone
+        if not better:
+            return _levels(chosen)
+        taken: set[Node] = set()
+        for node, (_, cone) in sorted(better.items(), key=lambda item: -item[1][0]):
+            if not cone & taken:  # else what it saves has changed
+                chosen[node] = cone
+                taken |= {other for other, (_, behind) in better.items() if node in behind} | cone
+        chosen = {node: _cone(node, among, chosen) for node in chosen}
+
+
+def _levels(cones: dict[Node, set[Node]]) -> list[list[Node]]:
+    """Nodes by how many of the others come before them; cones: what has to be computed for each of them."""
+    level: dict[Node, int] = {}
+    for node in _in_order(list(cones), {}):
+        if node in cones:
+            level[node] = 1 + max((level[a] for n in cones[node] for a in n.args if a in cones), default=-1)
+    return [[n for n, k in level.items() if k == depth] for depth in range(1 + max(level.values(), default=-1))]
+
+
+def _cone(node: Node, among, stops) -> set[Node]:
+    """A node and what has to be computed for it, up to some nodes that are there."""
+    cone, stack = set(), [node]
+    while stack:
+        one = stack.pop()
+        if one in among and one not in cone and (one is node or one not in stops):
+            cone.add(one)
+            stack.extend(one.args)
+    return cone
+
+
+def _cost(nodes) -> int:
+    return sum(_COSTS.get(n.primitive.name, 1) for n in nodes if n.primitive is not None)
+
+
+def kept_apart(always, function, *arguments):
+    """A function whose results are written down before they are used.
+
+    XLA would otherwise compute cheap ones anew for each that uses them, and drops the barriers that are meant to say
+    so. always: true, but not known to be.
+    """
+    shapes = jax.eval_shape(function, *arguments)
+    return jax.lax.cond(
+        always, function, lambda *_: jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes), *arguments
+    )
+
+
+def put_down(always, function: Callable[[], Sequence], room):
+    """The same with each result, shape () or (lanes,), in a row of an array that there is, shape (results, lanes).
+
+    For results that take long: XLA shares out a long loop among threads unless it writes to a part of an array, and
+    all threads have lanes of their own.
+    """
+
+    def filled(room):
+        for row, value in enumerate(function()):
+            room = room.at[row].set(value)
+        return room
+
+    return jax.lax.cond(always, filled, lambda room: room, room)
+
+
+def layer_by_layer(layers: Sequence[Sequence[Node]], known: dict[Node, Any], always) -> dict[Node, Any]:
+    """What is known, and the nodes of some layers. always: see `kept_apart`."""
+    known = dict(known)
+    for layer in layers:
+        found = kept_apart(always, lambda layer=layer, known=known: evaluate(layer, known))
+        known |= dict(zip(layer, found, strict=True))
+    return known

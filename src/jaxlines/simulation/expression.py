@@ -57,11 +57,15 @@ class Graph:
         simple = simplified(self, primitive.name, args, dtype, params)
         if simple is not None:
             return simple
-        key = (primitive.name, str(sorted(params.items(), key=str)), str(dtype), tuple(map(id, args)))
+        key = _key(primitive, params, dtype, args)
         moving = any(a.moving for a in args)
         return self._shared(
             key, lambda: Node(np.dtype(dtype), moving, primitive=primitive, params=params, args=tuple(args))
         )
+
+    def known(self, primitive, params: dict, dtype, args: tuple) -> Node | None:
+        """The node of an operation, if there is one already."""
+        return self._known.get(_key(primitive, params, dtype, args))
 
     def lax(self, function, *args: Node) -> Node:
         """An operation of `jax.lax` whose result has the type of its first argument."""
@@ -140,6 +144,10 @@ class Graph:
             picks = [Node(np.dtype(variable.aval.dtype), moving, args=(whole,), pick=(k, i)) for i in range(size)]
             results.append(objects(picks, shape))
         return results
+
+
+def _key(primitive, params: dict, dtype, args: tuple) -> tuple:
+    return (primitive.name, str(sorted(params.items(), key=str)), str(dtype), tuple(map(id, args)))
 
 
 @functools.cache

@@ -20,6 +20,7 @@ from jaxlines.simulation.lane_signals import every_signal, tagged, with_numbers
 from jaxlines.simulation.node import Node
 from jaxlines.simulation.observation import observe
 from jaxlines.simulation.plan import Plan, Values
+from jaxlines.simulation.rearrangement import objects
 from jaxlines.simulation.vector_field import rates, starting_point
 
 
@@ -92,7 +93,7 @@ class LaneField:
     def _node(self, name) -> Node:
         if name in self._fixed:
             return self.graph.constant(self._fixed[name], self._dtype)
-        return self.graph.input(name, self._dtype, name[0] in ("state", "signal"))
+        return self.graph.input(name, self._dtype, name[0] in ("state", "signal", "weight"))
 
     def _function(self, which: str) -> Callable:
         """rates, start or outputs as a function of held leaves and state leaves."""
@@ -137,43 +138,52 @@ class LaneField:
 
         Each row is found backwards from its result, so that it costs little more than the result itself.
         """
+        pull, count = self._pull(which, names), len(getattr(self, which))
+        return [pull([self.graph.constant(float(k == row), self._dtype) for k in range(count)]) for row in range(count)]
+
+    def pulled(self, which: str, names: Sequence) -> dict[int, Node]:
+        """Derivatives of a weighted sum of all numbers of a result in those of some inputs that it depends on."""
+        return self._pull(which, names)([self._node(name) for name in self.weight_names(which)])
+
+    def weight_names(self, which: str) -> list:
+        """Names of the weights of `pulled`."""
+        return [("weight", k) for k in range(len(getattr(self, which)))]
+
+    def _pull(self, which: str, names: Sequence) -> Callable[[list[Node]], dict[int, Node]]:
+        """A function of the weights of the numbers of a result; see `pulled`."""
         function = self._function(which)
         shapes, results = self._shapes(), jax.eval_shape(self._function(which), *self._shapes())
         jaxpr = jax.make_jaxpr(lambda p, q, weights: jax.vjp(function, p, q)[1](weights))(*shapes, results)
         held, states = self._arguments()
         inputs = {name: k for k, name in enumerate(names)}
         owners = [inputs.get(name) for array in (*self._held_names(), self.state_names) for name in array]
-        found: list[dict[int, Node]] = []
-        for row in range(sum(r.size for r in results)):
-            weights = self._weights(results, row)
-            pulled = [node for array in self.graph.outputs(jaxpr, *held, *states, *weights) for node in array.ravel()]
-            found.append({})
+
+        def pull(weights: list[Node]) -> dict[int, Node]:
+            arrays, at = [], 0
+            for result in results:
+                arrays.append(objects(weights[at : at + result.size], result.shape))
+                at += result.size
+            pulled = [node for array in self.graph.outputs(jaxpr, *held, *states, *arrays) for node in array.ravel()]
+            found: dict[int, Node] = {}
             for owner, node in zip(owners, pulled, strict=True):
                 if owner is not None and not node.is_constant(0):
-                    known = found[row].get(owner)
-                    found[row][owner] = node if known is None else self.graph.lax(jax.lax.add, known, node)
-        return found
+                    known = found.get(owner)
+                    found[owner] = node if known is None else self.graph.lax(jax.lax.add, known, node)
+            return found
+
+        return pull
 
     def _held_names(self) -> list[list]:
         """Names of the numbers of the held leaves."""
         return [[self._names[tag] for tag in tags.ravel()] for tags in self._held_tags]
 
-    def _weights(self, results, wanted: int) -> list[np.ndarray]:
-        """Cotangents of results: one for the number that is wanted, else zero."""
-        ones, at = np.eye(1, sum(r.size for r in results), wanted)[0], 0
-        arrays = []
-        for r in results:
-            arrays.append(self.graph.constants(ones[at : at + r.size].astype(self._dtype).reshape(r.shape)))
-            at += r.size
-        return arrays
-
     def bind(
-        self, values: Values, columns: Sequence, t, partials: bool = False, differentiated: Sequence[int] | None = None
+        self, values: Values, columns: Sequence, t, derivatives: str = "", differentiated: Sequence[int] | None = None
     ) -> BoundField:
         """The field with numbers: those of the circuit, and the columns of the varied ones, (lanes,) each.
 
-        partials: whether partial derivatives will be asked for; differentiated: the columns that they are taken in
-        (all by default).
+        derivatives: which will be asked for: "partials", "pulled", or none; differentiated: the columns that partial
+        derivatives are taken in (all by default).
         """
         known = {self._node(("column", c)): column for c, column in enumerate(columns)}
         for position, leaf in enumerate(jax.tree.leaves(values)):
@@ -181,7 +191,7 @@ class LaneField:
                 if ("leaf", position, i) not in self._fixed:
                     known[self._node(("leaf", position, i))] = jnp.ravel(jnp.asarray(leaf))[i]
         wanted = range(len(columns)) if differentiated is None else differentiated
-        return BoundField(self, values, columns, known, t, columns[0].shape[-1:], partials, tuple(wanted))
+        return BoundField(self, values, columns, known, t, columns[0].shape[-1:], derivatives, tuple(wanted))
 
     def inputs(self) -> list:
         """Names of what a derivative is taken in, beside the states: columns, then signals."""
@@ -191,3 +201,7 @@ class LaneField:
         """Signals and states by their nodes."""
         found = {self._node(name): value for name, value in zip(self.signal_names, numbers, strict=True)}
         return found | {self._node(name): value for name, value in zip(self.state_names, state, strict=False)}
+
+    def weighed(self, which: str, weights: Sequence) -> dict[Node, Any]:
+        """Weights of the numbers of a result by their nodes."""
+        return {self._node(name): weight for name, weight in zip(self.weight_names(which), weights, strict=True)}

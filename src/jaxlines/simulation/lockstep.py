@@ -14,6 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxlines.simulation.evaluation import kept_apart, put_down
+
 DECAY = np.array(
     [
         0.0,
@@ -84,44 +86,40 @@ def stage_signals(field, begin, step, dtype):
     return jax.vmap(field.signals)(begin + step * jnp.asarray(WHEN, dtype))
 
 
-def kept_apart(always, function, *arguments):
-    """A function whose results are written down before they are used.
+class Step(NamedTuple):
+    """What a step leaves: state and memory d after it, and each lane's error estimate (scaled states)."""
 
-    XLA would otherwise compute cheap ones anew for each of the parameters side by side that use them, and drops the
-    barriers that are meant to say so. always: true, but not known to be.
-    """
-    shapes = jax.eval_shape(function, *arguments)
-    return jax.lax.cond(
-        always, function, lambda *_: jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes), *arguments
-    )
+    state: tuple
+    memory: tuple
+    error: Any
 
 
-def explicit_step(field, begin, step, state: tuple, keep: bool = False) -> tuple[tuple, Any]:
-    """One step of all lanes: the state after it, and its error estimate, (lanes,).
+def explicit_step(field, begin, step, state: tuple) -> Step:
+    """One step of all lanes.
 
     The estimate is that of the sum of all states in units of their typical sizes: one array instead of as many as
-    there are states, which would cost a third of the memory traffic. With `keep` the states before every stage
-    (leading axis) stand in its place.
+    there are states, which would cost a third of the memory traffic.
     """
     dtype = state[0].dtype
     decay, advance, _, weights = coefficients(dtype)
     rest = tuple(jnp.zeros_like(y) for y in state)
+    alike = all(y.shape == field.shape for y in state)  # else blocks of states, which do not fit in rows
 
     def stage(carry, numbers):
-        state, memory, defect = carry
+        state, memory, defect, room = carry
         kept, go, weight, signals = numbers
         # Kept apart, so that every use of the state comes before its update, which then needs no copy.
-        slope = kept_apart(step != 0.0, field.rates, signals, state)
+        if alike:
+            room = put_down(step != 0.0, lambda: field.rates(signals, state), room)
+        slope = tuple(room) if alike else kept_apart(step != 0.0, field.rates, signals, state)
         memory = tuple(kept * d + step * f for d, f in zip(memory, slope, strict=True))
-        defect = defect if keep else defect + weight * field.total(slope)
         after = tuple(y + go * d for y, d in zip(state, memory, strict=True))
-        return (after, memory, defect), state if keep else None
+        return (after, memory, defect + weight * field.total(slope), room), None
 
     signals = stage_signals(field, begin, step, dtype)
-    nothing = jnp.zeros((), dtype) if keep else jnp.zeros(field.shape, dtype)
-    data = (decay, advance, weights, signals)
-    (after, _, defect), before = jax.lax.scan(stage, (state, rest, nothing), data)
-    return after, before if keep else step * defect
+    start = (state, rest, jnp.zeros(field.shape, dtype), jnp.zeros((len(state) * alike, *field.shape), dtype))
+    (after, memory, defect, _), _ = jax.lax.scan(stage, start, (decay, advance, weights, signals))
+    return Step(after, memory, step * defect)
 
 
 def explicit_interval(field, begin, end, steps, start: Marched) -> Marched:
@@ -133,8 +131,8 @@ def explicit_interval(field, begin, end, steps, start: Marched) -> Marched:
     step = (end - begin) / steps
 
     def one_step(k, marched: Marched) -> Marched:
-        state, defect = explicit_step(field, begin + k * step, step, marched.state)
-        return Marched(state, marched.error + jnp.abs(jnp.asarray(defect)))
+        after = explicit_step(field, begin + k * step, step, marched.state)
+        return Marched(after.state, marched.error + jnp.abs(jnp.asarray(after.error)))
 
     return jax.lax.fori_loop(0, steps, one_step, start)
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxlines.simulation.bound_field import BoundField
 from jaxlines.simulation.ensemble_program import LaneProgram, marched, small_field
 from jaxlines.simulation.lockstep import explicit_interval, march
-from jaxlines.simulation.lockstep_adjoint import march_adjoint
+from jaxlines.simulation.lockstep_adjoint import count_parts, march_adjoint, march_steps, outputs_of_steps
 from jaxlines.simulation.plan import Values
 
 
@@ -19,8 +19,8 @@ def lane_outputs(program: LaneProgram, values: Values, grid, steps: int) -> Call
         # The implicit engine decides itself what it computes again in reverse.
         return by_transposing if program.engine == "implicit" else jax.checkpoint(by_transposing)
 
-    def bound(columns, partials=False):
-        return small_field(program, values, columns, grid[0, -1], partials)
+    def bound(columns, derivatives=""):
+        return small_field(program, values, columns, grid[0, -1], derivatives)
 
     @jax.custom_vjp
     def outputs(columns):
@@ -28,12 +28,17 @@ def lane_outputs(program: LaneProgram, values: Values, grid, steps: int) -> Call
         return march(field, explicit_interval, grid, steps, field.start(), jnp.zeros(field.shape, grid.dtype))[0]
 
     def forward(columns):
-        states, shown = march_states(bound(columns), grid, steps)
-        return shown, (columns, states)
+        field = bound(columns)
+        if count_parts(field, grid, steps) > 1:
+            stored, shown = march_states(field, grid, steps)
+        else:
+            stored = march_steps(field, grid[1:], steps, field.start())
+            shown = outputs_of_steps(field, grid, stored)
+        return shown, (columns, stored)
 
     def backward(kept, given):
-        columns, states = kept
-        return (march_adjoint(bound(columns, True), grid, steps, states, given),)
+        columns, stored = kept
+        return (march_adjoint(bound(columns, "pulled"), grid, steps, stored, given),)
 
     outputs.defvjp(forward, backward)
     return outputs

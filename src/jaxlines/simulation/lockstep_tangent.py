@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlines.simulation.bound_field import BoundField
-from jaxlines.simulation.lockstep import coefficients, kept_apart, stage_signals
+from jaxlines.simulation.evaluation import kept_apart
+from jaxlines.simulation.lockstep import coefficients, stage_signals
 
 
 class Group(NamedTuple):
@@ -119,7 +120,7 @@ def tangent_interval(field: BoundField, groups: list[Group], begin, end, steps, 
             keep, go, t, signals = numbers
 
             def compute(state):
-                rates, partials = field.rates_and_partials(signals, state)
+                rates, partials = field.rates_and_partials(signals, state, step != 0.0)
                 pushed = field.pushed(t)
                 return rates, partials, [_inputs(field, row, pushed) for row in partials]
 

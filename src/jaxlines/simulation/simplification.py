@@ -2,9 +2,9 @@
 
 0 x = 0 also where x is not finite: whatever is not finite shows in the rate of its own state. Divisions are slow, so
 that a/b becomes a (1/b) with one reciprocal for all that is divided by b, and reciprocals of products, roots and sums
-with a quotient are made of those there are. This also avoids the reciprocal square root of float64, which is slow on
-many processors and which XLA would use. What stays the same in time is the first factor of a product, so that it is
-put together before the loop.
+with a quotient are made of those there are. Reciprocals of square and of fourth roots, powers of 2 and logarithms
+are operations of their own, with hardly a division (`fast_math`). What stays the same in time is the first factor of
+a product, so that it is put together before the loop.
 """
 
 from typing import Any
@@ -12,6 +12,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxlines.simulation.fast_math import EXP2, INVERSE_FOURTH_ROOT, INVERSE_ROOT, LOG2
 from jaxlines.simulation.node import Node
 
 Graph = Any
@@ -87,30 +88,37 @@ def _product(graph: Graph, args: tuple, dtype) -> Node | None:
     return None
 
 
-def _powers(node: Node, sign: int = 1) -> dict[Node, int]:
+def _powers(graph: Graph, node: Node, sign: int = 1) -> dict[Node, int]:
     """The factors of a product that moves, with the powers that they have."""
     if _is(node, "mul"):
-        found = _powers(node.args[0], sign)
-        for factor, power in _powers(node.args[1], sign).items():
+        found = _powers(graph, node.args[0], sign)
+        for factor, power in _powers(graph, node.args[1], sign).items():
             found[factor] = found.get(factor, 0) + power
         return found
-    return _powers(node.args[1], -sign) if _is_reciprocal(node) else {node: sign}
+    below = _below(graph, node)
+    return {node: sign} if below is None else _powers(graph, below, -sign)
 
 
-def _is_reciprocal(node: Node) -> bool:
-    return _is(node, "div") and node.args[0].is_constant(1)
+def _below(graph: Graph, node: Node) -> Node | None:
+    """x where a node is 1/x, else None."""
+    if _is(node, "div") and node.args[0].is_constant(1):
+        return node.args[1]
+    if _is(node, INVERSE_ROOT.name):
+        return graph.lax(jax.lax.sqrt, node.args[0])
+    if _is(node, INVERSE_FOURTH_ROOT.name):
+        return graph.lax(jax.lax.sqrt, graph.lax(jax.lax.sqrt, node.args[0]))
+    return None
 
 
 def _cancelled(graph: Graph, args: tuple, dtype) -> Node | None:
     """A product in which factors cancel, without them: x (1/x) = 1, sqrt(x) sqrt(x) = x."""
-    a, b = map(_powers, args)
+    a, b = (_powers(graph, x) for x in args)
     powers = {x: a.get(x, 0) + b.get(x, 0) for x in (*a, *b)}
-    roots = [x for x, power in powers.items() if _is(x, "sqrt") and abs(power) > 1]
+    roots = [x for x, power in powers.items() if _is(x, "sqrt") and power > 1]
     if not roots and all(a[x] * b[x] > 0 for x in a if x in b):
         return None
     for root in roots:
-        half = int(powers[root] / 2)
-        powers[root] -= 2 * half
+        half, powers[root] = divmod(powers[root], 2)
         powers[root.args[0]] = powers.get(root.args[0], 0) + half
     found = _one(graph, dtype)
     for factor, power in powers.items():
@@ -197,23 +205,41 @@ def _reciprocal(graph: Graph, x: Node, dtype) -> Node | None:
 
     if not x.moving:
         return None
-    if _is_reciprocal(x):
-        return x.args[1]
+    below = _below(graph, x)
+    if below is not None:
+        return below
     if _is(x, "mul"):
         for a, b in (x.args, x.args[::-1]):
-            if not a.moving or _is_reciprocal(a):
+            if not a.moving or _below(graph, a) is not None:
                 return _times(graph, inverse(a), inverse(b))
-    if _is(x, "sqrt") and np.dtype(dtype) == np.float64:
-        return _times(graph, x, inverse(x.args[0]))
+    if _is(x, "sqrt"):
+        return _inverse_root(graph, x.args, dtype)
     if _is(x, "select_n") and all(case.is_constant() for case in x.args[1:]):
         return graph.operation(jax.lax.select_n_p, {}, dtype, (x.args[0], *map(inverse, x.args[1:])))
     return None
 
 
 def _inverse_root(graph: Graph, args: tuple, dtype) -> Node | None:
-    if np.dtype(dtype) != np.float64:
+    """1/sqrt(x), from that of the fourth root where there is one."""
+    (x,) = args
+    if _is(x, "sqrt"):
+        return graph.operation(INVERSE_FOURTH_ROOT, {}, dtype, x.args)
+    fourth = graph.known(INVERSE_FOURTH_ROOT, {}, dtype, args)
+    return graph.operation(INVERSE_ROOT, {}, dtype, args) if fourth is None else _times(graph, fourth, fourth)
+
+
+def _exponential(graph: Graph, args: tuple, dtype) -> Node | None:
+    """exp(x) = 2^(x/log 2) of what moves."""
+    if not args[0].moving:
         return None
-    return graph.lax(jax.lax.div, _one(graph, dtype), graph.lax(jax.lax.sqrt, args[0]))
+    return graph.operation(EXP2, {}, dtype, (_times(graph, graph.constant(1.0 / np.log(2.0), dtype), args[0]),))
+
+
+def _logarithm(graph: Graph, args: tuple, dtype) -> Node | None:
+    """log(x) = log 2 log2(x) of what moves."""
+    if not args[0].moving:
+        return None
+    return _times(graph, graph.constant(np.log(2.0), dtype), graph.operation(LOG2, {}, dtype, args))
 
 
 def _power(graph: Graph, x: Node, exponent: int) -> Node | None:
@@ -236,5 +262,7 @@ RULES = {
     "select_n": _selected,
     "div": _quotient,
     "rsqrt": _inverse_root,
+    "exp": _exponential,
+    "log": _logarithm,
 }
 """Operation -> what makes it simpler: (graph, arguments, type of the result) -> node, or None."""
