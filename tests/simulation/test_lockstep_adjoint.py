@@ -57,3 +57,22 @@ def test_fewer_steps_at_once(program, gradient, monkeypatch):
 
     for path, value in jl.ensemble_gradient(program, objective, VALUES, chunk=128).gradient.items():
         np.testing.assert_allclose(value, gradient[path], rtol=1e-12)
+
+
+@pytest.mark.parametrize(("precision", "rtol"), [("float64", 1e-12), ("float32", 5e-5)])
+def test_backwards_at_the_edge_of_stability(precision, rtol):
+    """Steps of up to four time constants, where a scheme that runs backwards could magnify rounding."""
+    in_time_constants = np.linspace(0.2, 4.2, LANES)
+    values = VALUES | {"vessel.volume": np.full(LANES, 1e-3)}
+    values["leak.conductance"] = in_time_constants / (TIMES[1] - TIMES[0]) * 1e-3 / 1.4e9
+
+    def program(precision):
+        return jl.prepare_ensemble(
+            draining(), TIMES, values, outputs=["A.pressure"], steps=1, engine="explicit", audit=0, precision=precision
+        )
+
+    forward = jl.ensemble_jacobian(program("float64"), values).slopes["A.pressure"]
+    found = jl.ensemble_gradient(program(precision), lambda times, outputs: outputs["A.pressure"].sum(0) / 1e6, values)
+    for path, exact in forward.items():
+        total = exact.sum(axis=1) / 1e6
+        np.testing.assert_allclose(found.gradient[path], total, rtol=rtol, atol=1e-2 * rtol * np.abs(total).max())
