@@ -81,41 +81,40 @@ def _why_not_faster(result: dict) -> list[str]:
 
 def _where_time_goes(result: dict) -> list[str]:
     """Parts of a run timed on their own, and what derivatives add."""
-    profile, rate = (
-        result.get("profile"),
-        {(r["engine"], r["precision"]): r["sims_per_second"] for r in _bounds(result)},
-    )
+    profile = result.get("profile")
     if not profile:
         return []
-    forward, derivatives = [], []
+    bounds = {row["precision"]: result["lanes"] / row["sims_per_second"] for row in _bounds(result)}
+    forward, derivatives, shares = [], [], []
     for kind, parts in profile.items():
-        part, bound = parts["forward"], rate.get(("SIMD C, plain", kind))
+        part, bound = parts["forward"], bounds.get(kind)
         times = [part["rates"], part["steps"] - part["rates"], part["program"] - part["steps"]]
         times += [part["run"] - part["program"], part["run"], part["whatever the lanes"]]
-        bound = None if bound is None else result["lanes"] / bound
         forward.append([kind, *(_number(None if t is None else 1e3 * t, "{:.1f}") for t in (*times, bound))])
+        if bound is not None:
+            shares.append(
+                f"- {kind}: the rates alone take {part['rates'] / part['run']:.0%} of a run, Python and copies "
+                f"{(part['run'] - part['program']) / part['run']:.0%}; C takes {bound / part['run']:.0%} of it for all."
+            )
         part = parts["derivatives"]
         half = [part["forwards, every step stored"], part["backwards"], part["gradient"], part["jacobian"]]
         sizes = ("256", "512", "1024")
         half += [part[f"{name}, {size} lanes at once"] for name in ("gradient", "jacobian") for size in sizes]
         derivatives.append([kind, *(f"{t / part['run']:.2f}" for t in half)])
+    first = (
+        f"{result['lanes']:,} lanes of the servo axis at 3 steps a sample on all cores, each part timed on its own [ms]"
+    )
     head = ["", "rates", "steps around them", "outputs, status", "Python, copies", "run", "of it, whatever the lanes"]
-    lines = ["", "### Where the time goes", ""]
-    lines += [
-        f"{result['lanes']:,} lanes of the servo axis at 3 steps a sample, all cores, each part timed on its own [ms]:"
-    ]
-    lines += ["", *_table([*head, "C with SIMD, plain, the same steps"], forward), ""]
-    lines += [
-        "Derivatives, times a run (those of the last columns with so many lanes at once instead of what is chosen):",
-        "",
-    ]
+    lines = ["", "### Where the time goes", "", f"{first}, so that differences of some per cent are noise:", ""]
+    lines += [*_table([*head, "C with SIMD, plain, the same steps"], forward), "", *shares, ""]
+    lines += ["Derivatives, times a run; in the last columns with so many lanes at once instead of what is chosen:", ""]
     head = ["", "forwards, storing", "backwards", "gradient", "Jacobian", "gradient 256", "512", "1024"]
     return [*lines, *_table([*head, "Jacobian 256", "512", "1024"], derivatives)]
 
 
 def _bounds(result: dict) -> list[dict]:
-    """The rows of C with as many steps as ours."""
-    return [row for row in result["rows"] if row["setting"] == "3 steps a sample" and row["engine"].startswith("SIMD")]
+    """The rows of plain C with as many steps as ours."""
+    return [row for row in result["rows"] if row["setting"] == "3 steps a sample" and row["engine"] == "SIMD C, plain"]
 
 
 def _fits(result: dict) -> list[str]:

@@ -27,6 +27,9 @@ from jaxlines.simulation.precision import cast, computing_in
 STEPS = 3
 """Steps between samples."""
 
+GRADIENT_LANES = 512
+"""Lanes at once of the halves of a gradient: a divisor of all lanes."""
+
 
 def _rates_alone(program, values, columns, grid):
     """The rates at every stage of every step, without the steps."""
@@ -113,7 +116,7 @@ def forward_profile(columns: dict[str, np.ndarray], precision: str, repeats: int
 
 def gradient_profile(columns: dict[str, np.ndarray], precision: str, repeats: int = 5) -> dict:
     """Seconds of a run, of a gradient and of its halves, and of both derivatives with other numbers of lanes."""
-    parts, lanes = _Parts(columns, precision), 512
+    parts, lanes = _Parts(columns, precision), GRADIENT_LANES
 
     def objective(times, outputs):
         return jnp.mean((outputs["A.pressure"] / 1e6) ** 2, axis=0)

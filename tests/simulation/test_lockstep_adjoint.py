@@ -76,3 +76,14 @@ def test_backwards_at_the_edge_of_stability(precision, rtol):
     for path, exact in forward.items():
         total = exact.sum(axis=1) / 1e6
         np.testing.assert_allclose(found.gradient[path], total, rtol=rtol, atol=1e-2 * rtol * np.abs(total).max())
+
+
+@pytest.mark.parametrize("chunk", [0, 100, -128])
+def test_a_chunk_of_any_other_size_is_refused(program, chunk):
+    for call in (
+        lambda: jl.ensemble_gradient(program, final_pressure, VALUES, chunk=chunk),
+        lambda: jl.ensemble_jacobian(program, VALUES, chunk=chunk),
+        lambda: program.run(VALUES, chunk=chunk),
+    ):
+        with pytest.raises(ValueError, match=f"multiple of 128 lanes, got {chunk}"):
+            call()

@@ -145,7 +145,7 @@ class EnsembleProgram:
 
     def _run_lanes(self, columns, lanes: np.ndarray, steps: int, found: "_Found", chunk, progress) -> None:
         """Run some lanes chunk by chunk, on all cores, and write down what they give."""
-        size = checked_chunk(chunk) if chunk else self.chunk_lanes(lanes.size)
+        size = self.chunk_lanes(lanes.size) if chunk is None else checked_chunk(chunk)
         parts = [lanes[i : i + size] for i in range(0, lanes.size, size)]
         done = 0
 

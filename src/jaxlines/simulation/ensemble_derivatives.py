@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxlines.simulation.chunks import checked_chunk
 from jaxlines.simulation.ensemble import FEWEST, EnsembleProgram, workers
 from jaxlines.simulation.ensemble_columns import Varied, as_slice, out_of_range
 from jaxlines.simulation.ensemble_program import LaneProgram, chunk_tangent, compiled
@@ -113,7 +114,7 @@ def ensemble_jacobian(program: EnsembleProgram, varied: Varied, *, chunk: int | 
     The derivatives are those of the computed solution, exactly (no finite differences). For up to some tens of
     numbers; beyond that `ensemble_gradient` costs less.
 
-    Args: program: of `prepare_ensemble`; varied: path -> (lanes,), as there; chunk: lanes at once, of 128 each.
+    Args: program: of `prepare_ensemble`; varied: path -> (lanes,), as there; chunk: lanes at once, a multiple of 128.
     Returns: an `EnsembleJacobian`. Raises: ValueError or KeyError for a wrong call.
     """
     columns, steps = program.ordered(varied), _steps(program)
@@ -138,7 +139,7 @@ def ensemble_jacobian(program: EnsembleProgram, varied: Varied, *, chunk: int | 
             reduced[k, part], reduced_slopes[k][:, part] = result[2][k], result[3][k]
 
     good = np.flatnonzero(~out_of_range(program.circuit, list(program.paths), columns))
-    size = chunk or _chunk_size(good.size, kind)
+    size = _chunk_size(good.size, kind) if chunk is None else checked_chunk(chunk)
     _in_chunks(
         program, columns, good, size, lambda *data: compiled(_tangent_chunk)(program.program, *data, steps), write
     )
@@ -159,7 +160,8 @@ def ensemble_gradient(
     """An objective of every lane and its gradient in all varied numbers, backwards in time.
 
     The gradient is that of the computed solution, exactly, at a few times the cost of a simulation whatever the count
-    of numbers: whole records that drive the circuit ("spool.values", (lanes, samples)) included.
+    of numbers: whole records that drive the circuit ("spool.values", (lanes, samples)) included. Memory grows with the
+    number of steps, up to some 256 MB for each core. A lane that has no finite solution gives NaN.
 
     Args: program: of `prepare_ensemble`; objective(times, outputs) -> (lanes,), of `jax.numpy`: outputs are name ->
         (samples, lanes), of the ensemble's outputs and of what its reductions need; varied: path -> numbers.
@@ -176,7 +178,7 @@ def ensemble_gradient(
             into[..., part] = found
 
     good = np.flatnonzero(~out_of_range(program.circuit, list(program.paths), columns))
-    size = chunk or _chunk_size(good.size, kind)
+    size = _chunk_size(good.size, kind) if chunk is None else checked_chunk(chunk)
     _in_chunks(
         program,
         columns,

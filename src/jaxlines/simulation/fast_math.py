@@ -1,7 +1,7 @@
 """Elementary functions of many lanes that a processor computes without its divider and without leaving its vectors.
 
-XLA calls a scalar routine for some (log in float64), and the square roots and divisions in others occupy a unit that
-takes 16 to 32 cycles for a vector, while the multipliers idle. Here are polynomials, and Newton's iteration where a
+XLA calls a scalar routine for some (log in float64), and the square roots and divisions in others wait for one slow
+unit while the multipliers idle. Here are polynomials, and Newton's iteration where a
 good start is known: a float's bits, read as a whole number, are nearly its logarithm (Blinn, "Floating-point tricks",
 IEEE Computer Graphics and Applications 17(4), 1997). Powers and logarithms are those of 2, which need no reduction of
 their argument by multiples of log 2. Numbers below the smallest normal one count as zero.
